@@ -8,22 +8,22 @@ open.
 import os
 from dataclasses import replace
 
-from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
+from pica_client.e2ee.frames import derive_key, open_, seal
 from pica_client.errors import SealError
-from pica_protocol.frames import Frame
+from pica_protocol.frames import Frame, clear_header
 
 key = derive_key(os.urandom(16), key_id=0)
 frame = Frame(stream=7, sequence=41, captured_us=1_000_000, payload=b"a face")
-sealed = seal(frame.payload, metadata_of(frame), key, counter=41)
+sealed = seal(frame.payload, clear_header(frame), key, counter=41)
 print(f"{len(frame.payload)} bytes of payload, {len(sealed)} sealed: {sealed.hex()}")
-assert open_(sealed, metadata_of(frame), key) == frame.payload
+assert open_(sealed, clear_header(frame), key) == frame.payload
 
 other = derive_key(os.urandom(16), key_id=0)
 attempts = {
-    "a flipped bit": (bytes([*sealed[:-1], sealed[-1] ^ 1]), metadata_of(frame), key),
-    "another stream": (sealed, metadata_of(replace(frame, stream=8)), key),
-    "another time": (sealed, metadata_of(replace(frame, captured_us=2_000_000)), key),
-    "another key": (sealed, metadata_of(frame), other),
+    "a flipped bit": (bytes([*sealed[:-1], sealed[-1] ^ 1]), clear_header(frame), key),
+    "another stream": (sealed, clear_header(replace(frame, stream=8)), key),
+    "another time": (sealed, clear_header(replace(frame, captured_us=2_000_000)), key),
+    "another key": (sealed, clear_header(frame), other),
 }
 for what, arguments in attempts.items():
     try:

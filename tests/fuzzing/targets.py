@@ -22,7 +22,7 @@ from golden.wire_samples import GOLDEN
 from helpers import tracker_packets
 from helpers.stream_toy import perform, toy_profile
 from helpers.toy import make_toy_avatar, with_bases
-from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
+from pica_client.e2ee.frames import decode_header, derive_key, open_, seal
 from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.errors import SealError
@@ -34,11 +34,18 @@ from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import AvatarFileError, LatentError
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
-from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
+from pica_protocol.frames import (
+    Frame,
+    clear_header,
+    decode_media,
+    encode_frame,
+    media_message,
+    scan_frames,
+)
 
 WAY: Final = ("p1", "p2")
 CODE_KEY: Final = room_key(RoomSecret(bytes(range(32))), "lobby", b"code")
-METADATA: Final = metadata_of(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
+METADATA: Final = clear_header(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
 
 
 GOLDEN_BYTES: Final[dict[str, bytes]] = {

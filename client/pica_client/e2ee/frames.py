@@ -4,8 +4,8 @@
     header = config byte | key id, 0 to 8 bytes | counter, 0 to 8 bytes      (RFC 9605 4.3)
 
 The cipher is AES_128_GCM_SHA256_128 of RFC 9605. The tag covers the header and the *metadata*: the
-fields of the media header that travel in the clear. A payload that is moved to another stream,
-sequence number or time does not open.
+fields of the media header that travel in the clear (`pica_protocol.frames.clear_header`). A payload
+that is moved to another stream, sequence number or time does not open.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,6 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from pica_client.errors import SealError
-from pica_protocol.frames import Frame, clear_header
 
 BASE_KEY_BYTES: Final = 16
 TAG_BYTES: Final = 16
@@ -80,11 +79,6 @@ def decode_header(sealed: bytes) -> tuple[int, int, int]:
     if not numbers or encode_header(*numbers) != sealed[:end]:
         raise SealError(f"no header in a payload of {len(sealed)} bytes")
     return numbers[0], numbers[1], end
-
-
-def metadata_of(frame: Frame) -> bytes:
-    """Return what the tag covers of a frame's clear header: 8 bytes that do not travel again."""
-    return clear_header(frame)
 
 
 def seal(payload: bytes, metadata: bytes, key: FrameKey, counter: int) -> bytes:

@@ -29,7 +29,7 @@ from pica_client.e2ee.peer_keys import FIRST_WAIT_S, KEY_IDS, PeerKeys
 from pica_client.e2ee.secret import RandomBytes, RoomSecret, SealState, SealStatus
 from pica_client.tracks import FACE_TRACK
 from pica_protocol import messages
-from pica_protocol.frames import Frame
+from pica_protocol.frames import Frame, clear_header
 from pica_protocol.session import ClientEvent, Closed
 
 FRAMES_PER_KEY: Final = 65_536
@@ -121,7 +121,7 @@ class Guard:
         # A voice is not padded: where it is sealed it is coded at a constant bit rate.
         if self._kinds.get(frame.stream) == FACE_TRACK:
             payload = frames.pad(payload)
-        sealed = frames.seal(payload, frames.metadata_of(frame), own.key, own.counter)
+        sealed = frames.seal(payload, clear_header(frame), own.key, own.counter)
         own.counter += 1
         self.counters.sealed += 1
         return sealed
@@ -312,7 +312,7 @@ class Guard:
             if not opening.window.is_new(counter):
                 counters.replayed += 1
                 return []
-            payload = frames.open_(frame.payload, frames.metadata_of(frame), opening.key)
+            payload = frames.open_(frame.payload, clear_header(frame), opening.key)
             if kind == FACE_TRACK:
                 payload = frames.unpad(payload)
         except errors.SealError:

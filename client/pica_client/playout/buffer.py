@@ -28,7 +28,7 @@ over to the new path within `BLEND_S`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pica_client.playout.motion import Correction, Playhead, Timeline
 from pica_client.playout.sender_clock import DecodedFrame, FrameInterval, SenderClock
@@ -67,7 +67,7 @@ class PlayedFace:
     """Whether the frame that should be shown by now is not there."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True)
 class PlayoutReport:
     """Counters since the stream began, and how it stands."""
 
@@ -100,9 +100,8 @@ class Playout:
     """The playout buffer of one stream; see the module for how it works."""
 
     def __init__(self) -> None:
-        self._received = self._payload_bytes = 0
-        self._num_shown = self._concealed = 0
-        self._missed_s = self._last_transit_s = 0.0
+        self._report = PlayoutReport()
+        self._last_transit_s = 0.0
         self._sender = SenderClock()
         self._timeline = Timeline()
         self._interval = FrameInterval()
@@ -112,12 +111,11 @@ class Playout:
         self._end_s = math.inf  # where it had stopped to move, on the time line
         self._is_path_new = False
         self._delay_s: float | None = None
-        self._age_s = 0.0
 
     def receive(self, frame: Frame, sample: LatentSample, now: float) -> None:
         """Take a frame that arrived just now, and the face that was decoded from it."""
-        self._received += 1
-        self._payload_bytes += len(frame.payload)
+        self._report.received += 1
+        self._report.payload_bytes += len(frame.payload)
         placed, transit = self._sender.receive(frame, now), self._sender.transit
         if placed is None or transit is None:
             return
@@ -129,7 +127,7 @@ class Playout:
         transit_s = now - media_s
         late_s = transit_s - transit.fastest_s - self._wait_s
         # Frames that a stall held back come in one burst: only the first says how long it was.
-        self._missed_s += max(min(late_s, transit_s - self._last_transit_s), 0.0)
+        self._report.missed_s += max(min(late_s, transit_s - self._last_transit_s), 0.0)
         self._last_transit_s = transit_s
         transit.receive(media_s, now)
         self._interval.receive(decoded)
@@ -183,16 +181,11 @@ class Playout:
         """Counters since the stream began, and how it stands."""
         transit = self._sender.transit
         target_s = 0.0 if transit is None else self._target_s
-        return PlayoutReport(
-            received=self._received,
-            payload_bytes=self._payload_bytes,
-            shown=self._num_shown,
-            missed_s=self._missed_s,
-            concealed=self._concealed,
+        return replace(
+            self._report,
             delay_s=target_s if self._delay_s is None else self._delay_s,
             jitter_s=0.0 if transit is None else transit.jitter_s,
             interval_s=self._interval.interval_s,
-            age_s=self._age_s,
         )
 
     @property
@@ -240,9 +233,9 @@ class Playout:
             # interval is granted for a tracker that is not so regular.
             granted_s = max(self._target_s - transit.jitter_s, 0.0)
             is_concealed = past_s > 1.5 * interval_s - granted_s and interval_s > 0
-        self._num_shown += 1
-        self._concealed += is_concealed
-        self._age_s = now - transit.fastest_s - known_s
+        self._report.shown += 1
+        self._report.concealed += is_concealed
+        self._report.age_s = now - transit.fastest_s - known_s
         return PlayedFace(
             sample=face,
             captured_us=held.captured_us + round((known_s - held.media_s) * 1e6),

@@ -22,14 +22,13 @@ from pica_client.e2ee.frames import (
     decode_header,
     derive_key,
     encode_header,
-    metadata_of,
     open_,
     pad,
     seal,
     unpad,
 )
 from pica_client.errors import SealError
-from pica_protocol.frames import Frame
+from pica_protocol.frames import Frame, clear_header
 
 pytestmark = pytest.mark.unit
 
@@ -95,7 +94,7 @@ def test_what_was_sealed_opens_and_costs_nineteen_bytes_at_most(
 
 
 def test_no_flipped_bit_opens() -> None:
-    key, metadata = derive_key(BASE_KEY, 5), metadata_of(FRAME)
+    key, metadata = derive_key(BASE_KEY, 5), clear_header(FRAME)
     sealed = seal(b"a face", metadata, key, 70_000)
     for place in range((len(sealed) + len(metadata)) * 8):
         flipped = bytearray(sealed + metadata)
@@ -125,7 +124,7 @@ def test_every_field_of_the_clear_header_is_covered() -> None:
         replace(FRAME, sequence=0),
         replace(FRAME, captured_us=123456989),
     ]
-    assert len({metadata_of(frame) for frame in [FRAME, *changed]}) == 4
+    assert len({clear_header(frame) for frame in [FRAME, *changed]}) == 4
 
 
 def test_a_key_does_not_print_itself() -> None:

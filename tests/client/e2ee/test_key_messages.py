@@ -16,7 +16,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from pica_client.e2ee.frames import derive_key, metadata_of, open_, pad, seal
+from pica_client.e2ee.frames import derive_key, open_, pad, seal
 from pica_client.e2ee.peer_keys import (
     MESSAGE_BYTES,
     KeyMessage,
@@ -29,7 +29,7 @@ from pica_client.e2ee.peer_keys import (
 )
 from pica_client.e2ee.secret import RoomSecret, SealStatus
 from pica_client.errors import SealError
-from pica_protocol.frames import Frame
+from pica_protocol.frames import Frame, clear_header
 from pica_protocol.messages import Track
 
 pytestmark = pytest.mark.unit
@@ -85,7 +85,7 @@ def grouped(data: str) -> str:
 
 
 def test_a_face_is_sealed_as_the_page_shows() -> None:
-    key, metadata = derive_key(BASE_KEY, GENERATION % 8), metadata_of(FRAME)
+    key, metadata = derive_key(BASE_KEY, GENERATION % 8), clear_header(FRAME)
     assert metadata.hex() == METADATA
     assert seal(pad(FRAME.payload), metadata, key, 300).hex() == SEALED
     assert open_(bytes.fromhex(SEALED), metadata, key) == pad(FRAME.payload)
