@@ -8,7 +8,6 @@ the owner's nor another's. Who cannot be seen has no name on the picture.
 """
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -59,7 +58,6 @@ STATUS_PERIOD_S = 0.5
 """How often figures change: readable."""
 BAR_S = 4.0
 """How long the control bar stays after the pointer has moved (chosen: as video players do)."""
-RECENT_FRAMES = 60
 FACE_LOW_M, FACE_HIGH_M = (-0.085, -0.125, 0.04), (0.085, 0.13, 0.04)
 """Opposite corners of what no name may cover: chin to hairline, ear to ear."""
 HALF_WIDTH_M = 0.175
@@ -106,7 +104,6 @@ class CallSurface:
         self._has_pointer = has_pointer
         self._pointer: tuple[float, float] | None = None
         self._pointer_s: float | None = None
-        self._times: deque[float] = deque(maxlen=RECENT_FRAMES)
         self._board = NoticeBoard()
 
     def notice(self, text: str, now: float) -> None:
@@ -124,7 +121,6 @@ class CallSurface:
         sound: SoundState | None = None,
     ) -> list[Request]:
         """Draw the panels in the frame that was begun; return what the user asked for."""
-        self._times.append(now)
         if now - self._asked_s >= STATUS_PERIOD_S:
             self._asked_s = now
             if self._ask_status is not None:
@@ -168,6 +164,7 @@ class CallSurface:
         people = []
         for face, label in zip(scene.faces, labels, strict=True):
             peer_id, found = face.peer_id, figures.get(face.peer_id)
+            member = members.get(peer_id, UNKNOWN)
             if label is not None:
                 left, top, right, bottom = (side / pixels for side in label)
                 label = (left, top, right, bottom)
@@ -175,27 +172,19 @@ class CallSurface:
                 PersonView(
                     peer_id=peer_id,
                     name=face.name,
-                    status=face.status,
-                    note=problems.get(peer_id) or face.note,
+                    remark=problems.get(peer_id) or face.note or member.line,
                     is_speaking=found is not None and found.is_speaking,
                     label=label,
                     figures=found,
-                    member=members.get(peer_id, UNKNOWN),
+                    member=member,
                 )
             )
         return tuple(people)
 
     def _figures_now(self) -> tuple[tuple[str, str], ...]:
-        times = self._times
-        span_s = times[-1] - times[0] if len(times) > 1 else 0.0
-        found = [(f"{(len(times) - 1) / span_s:.1f}" if span_s > 0 else "–", "fps")]
-        draw_ms = self._meter.recent_ms("draw")["p50"]
-        if draw_ms is not None:
-            found.append(("draw", f"{draw_ms:.1f} ms"))
-        latency_ms = self._meter.recent_ms("latency")["p95"]
-        if latency_ms is not None and 0 <= latency_ms < 10_000:
-            found.append(("latency p95", f"{latency_ms:.0f} ms"))
-        return (*found, *self.status.summary)
+        draw_ms = self._meter.recent_ms("draw")["p50"] or 0.0
+        fps = (f"{imgui.get_io().framerate:.1f}", "fps")
+        return (fps, ("draw", f"{draw_ms:.1f} ms"), *self.status.summary)
 
 
 class _Seen(NamedTuple):

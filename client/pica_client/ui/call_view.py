@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from pica_client.call.roster import Member
-from pica_client.call.status import AvatarFigures, CallStatus, FaceStatus
+from pica_client.call.status import AvatarFigures, CallStatus
 from pica_client.publish import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
@@ -24,10 +24,8 @@ from pica_protocol.messages import Peer
 
 UNKNOWN: Final = Member(peer=Peer(peer_id="unknown", name="unknown"))
 """Stands for a participant whom the list does not have yet."""
-NOTICE_S: Final = 4.0
-"""How long a notice stands."""
-LOUD_NOTICE_S: Final = 8.0
-"""The same for a warning or an alert, which should not be missed."""
+NOTICE_S: Final = 6.0
+"""How long a notice stands (chosen: a line of twenty words is read)."""
 MAX_NOTICES: Final = 3
 """Shown at once; one more drops the oldest."""
 
@@ -47,9 +45,8 @@ class NoticeBoard:
 
     def add(self, notice: Notice, now: float) -> None:
         """Show a notice from `now` on, seconds; the same text again only stays longer."""
-        lasts_s = LOUD_NOTICE_S if notice.tone in ("warning", "alert") else NOTICE_S
         others = [each for each in self._notices if each[0] != notice]
-        self._notices = [*others, (notice, now + lasts_s)][-MAX_NOTICES:]
+        self._notices = [*others, (notice, now + NOTICE_S)][-MAX_NOTICES:]
 
     def shown(self, now: float) -> tuple[Notice, ...]:
         """Return the notices of this moment, the oldest first."""
@@ -63,22 +60,14 @@ class PersonView:
 
     peer_id: str
     name: str
-    status: FaceStatus = "live"
-    note: str = ""
-    """What is wrong with the stream or the avatar, for people."""
+    remark: str = ""
+    """What is wrong with the avatar, the face or the connection; empty when all is well."""
     is_speaking: bool = False
     label: Rect | None = None
     """The part of the surface that the name may fill, from its upper edge on; None: nowhere."""
     figures: AvatarFigures | None = None
     member: Member = UNKNOWN
     """As of the last look at the room."""
-
-    @property
-    def remark(self) -> str:
-        """What stands under the name; empty when all is well."""
-        if self.note or self.status == "away":
-            return self.note or "away"
-        return "poor connection" if self.member.quality == "poor" else ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

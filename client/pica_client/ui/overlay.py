@@ -18,7 +18,6 @@ from pica_client.ui.side import side_share
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import (
     BAR_PT,
-    BUTTON_PT,
     EDGE_PT,
     FIXED,
     GAP_PT,
@@ -54,9 +53,8 @@ BESIDE_BAR_PT = 960.0
 """On a narrower picture the own face stands above the bar, not beside it."""
 BANNER_AFTER_S = 1.0
 """Suppress the banner for shorter outages."""
-OWN_PT, SMALL_OWN_PT = 104.0, 64.0
-"""Height of the user's own face; the smaller one on a narrow picture, and beside a panel while a
-participant is pinned, whose shoulder is there then."""
+OWN_PT, OWN_SHARE = 104.0, 0.15
+"""Height of the user's own face, and the part of the picture's that it takes at most."""
 ASPECT = 4 / 3
 PADDING = (12.0, 6.0)
 NAME_PADDING = (8.0, 3.0)
@@ -64,7 +62,6 @@ NAME_PADDING = (8.0, 3.0)
 DOT_PT = 18.0
 """What a dot and the gap behind it take."""
 SIGN_FLAGS = FIXED | imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_bring_to_front_on_focus
-SMALLEST_BUTTON_PT = 22.0
 Line = tuple[str, Tone]
 
 
@@ -243,11 +240,7 @@ def _is_wide() -> bool:
 
 def own_face_height(state: ViewState) -> int:
     """Return how high the picture of the user's own face is, units; 0 without room for it."""
-    if not state.shows_self:
-        return 0
-    is_beside = state.side != "none" and state.pinned is not None
-    is_small = is_beside or not _is_wide()
-    return round(px(SMALL_OWN_PT if is_small else OWN_PT))
+    return round(min(px(OWN_PT), OWN_SHARE * screen()[1])) if state.shows_self else 0
 
 
 def own_face(state: ViewState, call: CallView) -> list[Request]:
@@ -279,15 +272,10 @@ def control_bar(state: ViewState, call: CallView) -> list[Request]:
         return []
     groups = _groups(state)
     gap = px(GAP_PT)
-    count = sum(len(group) for group in groups)
-    gaps = (count - len(groups)) * gap / 2 + (len(groups) - 1) * 2 * gap + 2 * gap
-    side_pt, room = BUTTON_PT, screen()[0] - 2 * px(EDGE_PT)
-    while side_pt > SMALLEST_BUTTON_PT and count * px(side_pt) + gaps > room:
-        side_pt -= 2
     place = (screen()[0] / 2, screen()[1] - px(EDGE_PT))
     requests: list[Request] = []
     imgui.push_style_var(imgui.StyleVar_.window_padding, (gap, gap))
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, (px(side_pt) + 2 * gap) / 2)
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, px(BAR_PT) / 2)
     with card("bar", place, pivot=(0.5, 1.0)):
         for number, group in enumerate(groups):
             for at, (action, row) in enumerate(group):
@@ -295,7 +283,7 @@ def control_bar(state: ViewState, call: CallView) -> list[Request]:
                     imgui.same_line(0, gap / 2 if at else 2 * gap)
                 icon, tip, tone = row.look(state)
                 keys = row.key_names[0]
-                if icon_button(icon, tip, keys=keys, tone=tone, size_pt=side_pt):
+                if icon_button(icon, tip, keys=keys, tone=tone):
                     requests.append(action)
     imgui.pop_style_var(2)
     return requests

@@ -187,29 +187,22 @@ def _participants(state: ViewState, call: CallView) -> list[Request]:
 
 def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """Return what is shown beside a name."""
-    found: list[Sign] = []
-    if "voice" in person.muted_kinds:
-        found.append((icons.ICON_FA_MICROPHONE_SLASH, "alert", "An admin has muted the voice"))
-    elif person.is_voice_muted:
-        found.append((icons.ICON_FA_MICROPHONE_SLASH, "alert", "Voice is muted"))
-    if volume == 0:
-        meaning = "You have muted this person for yourself"
-        found.append((icons.ICON_FA_VOLUME_XMARK, "alert", meaning))
-    elif volume != 1:
-        found.append((icons.ICON_FA_VOLUME_HIGH, "plain", f"As loud as {volume:.0%} here"))
-    if person.is_recording:
-        found.append((icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here"))
-    if person.face == "muted":
-        found.append((icons.ICON_FA_EYE_SLASH, "plain", "Face is off"))
-    if person.is_watching:
-        found.append((icons.ICON_FA_EYE, "plain", "Watches, and shows no face"))
-    if person.is_verified:
-        found.append((icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret"))
-    elif is_encrypted and not person.is_self:
-        found.append((icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified"))
-    if person.peer.is_name_assured:
-        found.append((icons.ICON_FA_CHECK, "accent", "The relay vouches for this name"))
-    return found
+    is_muted_by_admin = "voice" in person.muted_kinds
+    is_unverified = is_encrypted and not person.is_verified and not person.is_self
+    mute = icons.ICON_FA_MICROPHONE_SLASH
+    loud = icons.ICON_FA_VOLUME_HIGH if volume else icons.ICON_FA_VOLUME_XMARK
+    rows: tuple[tuple[bool, str, Tone, str], ...] = (
+        (is_muted_by_admin, mute, "alert", "An admin has muted the voice"),
+        (person.is_voice_muted and not is_muted_by_admin, mute, "alert", "Voice is muted"),
+        (volume != 1, loud, "plain", f"As loud as {volume:.0%} here"),
+        (person.is_recording, icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here"),
+        (person.face == "muted", icons.ICON_FA_EYE_SLASH, "plain", "Face is off"),
+        (person.is_watching, icons.ICON_FA_EYE, "plain", "Watches, and shows no face"),
+        (person.is_verified, icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret"),
+        (is_unverified, icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified"),
+        (person.peer.is_name_assured, icons.ICON_FA_CHECK, "accent", "The relay checked the name"),
+    )
+    return [(icon, tone, meaning) for is_shown, icon, tone, meaning in rows if is_shown]
 
 
 def _row(person: Member, state: ViewState, call: CallView) -> list[Request]:

@@ -40,8 +40,6 @@ MIN_SIZE = (480, 360)
 """The smallest window, in the screen's units."""
 ON_PICTURE = "picture "
 """How names of windows begin that are part of the picture, also of one that is kept."""
-MAX_STEP_S = 0.25
-"""Animations skip the rest of a frame that took longer than this."""
 _BUNDLE = Path(imgui_bundle.__file__).parent / "assets" / "fonts"
 _NOTO = {
     "NotoSansCJKsc-common.otf": 1.24,
@@ -123,7 +121,7 @@ class Surface(Closing):
         if self._window is not None:
             imgui.backends.glfw_new_frame()
         step_s = 1 / 30 if self._last_s is None else now - self._last_s
-        io.delta_time, self._last_s = min(max(step_s, 1e-4), MAX_STEP_S), now
+        io.delta_time, self._last_s = max(step_s, 1e-4), now
         io.display_size = imgui.ImVec2(*size)
         io.display_framebuffer_scale = imgui.ImVec2(pixels_a_unit, pixels_a_unit)
         scale = scale_for(size, content_scale)

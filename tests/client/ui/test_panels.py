@@ -16,7 +16,6 @@ from pica_client.call.status import CallStatus
 from pica_client.publish import TrackerPreview
 from pica_client.ui.actions import Action
 from pica_client.ui.call_view import (
-    LOUD_NOTICE_S,
     NOTICE_S,
     CallView,
     Notice,
@@ -152,7 +151,7 @@ def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
 
 
 def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
-    person = replace(CALL.people[0], name="W" * 64, is_speaking=True, note="x y " * 90)
+    person = replace(CALL.people[0], name="W" * 64, is_speaking=True, remark="x y " * 90)
     for room in ((100.0, 50.0, 160.0, 70.0), (100.0, 50.0, 300.0, 70.0)):
         call = replace(CALL, people=(replace(person, label=room),))
         for _ in range(3):
@@ -162,14 +161,12 @@ def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
         assert window.size.y < 120
 
 
-def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
+def test_notices_stand_for_a_while_and_the_oldest_gives_way() -> None:
     board = NoticeBoard()
-    for text in ("one", "two", "one", "three"):
-        board.add(Notice(text), now=10.0)
-    board.add(Notice("Ben records", "alert"), now=10.0)
-    assert [each.text for each in board.shown(11.0)] == ["one", "three", "Ben records"]
-    assert [each.text for each in board.shown(10.0 + NOTICE_S)] == ["Ben records"]
-    assert board.shown(10.0 + LOUD_NOTICE_S) == ()
+    for number, text in enumerate(("one", "two", "one", "three", "four")):
+        board.add(Notice(text), now=float(number))
+    assert [each.text for each in board.shown(5.0)] == ["one", "three", "four"]
+    assert [each.text for each in board.shown(3.5 + NOTICE_S)] == ["four"]
 
 
 SCRIPTS = ["Ada", "Ольга", "Ελένη", "李小龍 さくら 김", "שרה", "مريم", "กานดา", "आशा", "Ani 😀🎉"]
