@@ -20,10 +20,6 @@ class LoadedAvatars:
     def __init__(self, avatars: Mapping[str, Avatar]) -> None:
         self._avatars = dict(avatars)
 
-    def has(self, identity: str) -> bool:
-        """See `AvatarStore.has`."""
-        return identity in self._avatars
-
     def get(self, identity: str) -> Avatar | None:
         """See `AvatarStore.get`."""
         return self._avatars.get(identity)

@@ -210,16 +210,10 @@ class AvatarFetcher:
         self._is_closing = False
         self.num_fetched = 0
 
-    def has(self, identity: str) -> bool:
-        """Whether the library has it, or the relay may: see `AvatarStore.has`."""
-        return self._library.has(identity) or is_avatar_id(identity)
-
     def get(self, identity: str) -> Avatar | None:
         """See `AvatarStore.get`; a missing one is being fetched from now on."""
-        if self._library.has(identity):
+        if self._library.has(identity) or not is_avatar_id(identity):
             return self._library.get(identity)
-        if not is_avatar_id(identity):
-            return None
         now = time.monotonic()
         with self._lock:
             wanted = self._wanted.get(identity)

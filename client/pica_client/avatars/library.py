@@ -25,13 +25,9 @@ in memory)."""
 class AvatarStore(Protocol):
     """Where a call finds avatars by hash; any thread may ask."""
 
-    def has(self, identity: str) -> bool:
-        """Whether `get` will give this avatar, now or later."""
-        ...
-
     def get(self, identity: str) -> Avatar | None:
-        """The avatar, or None while it is being loaded, or for ever if it is unknown;
-        AvatarFileError if the file is there and must not be used, or will not come."""
+        """The avatar, or None while it is on its way; AvatarFileError if it is unknown here, must
+        not be used, or will not come."""
         ...
 
     def note(self, identity: str) -> str:
@@ -90,13 +86,13 @@ class AvatarLibrary:
         return identity
 
     def has(self, identity: str) -> bool:
-        """Whether the file is known: see `AvatarStore.has`."""
+        """Whether the file is known."""
         return identity in self._paths
 
     def get(self, identity: str) -> Avatar | None:
         """The avatar once it is loaded: see `AvatarStore.get`."""
         if not self.has(identity):
-            return None
+            raise _unknown(identity)
         future = self._begin_loading(identity)
         if not future.done():
             return None
@@ -123,11 +119,10 @@ class AvatarLibrary:
         """The avatar, waiting for it.
 
         Raises:
-            AvatarFileError: It must not be used.
-            OptionError: No file has this hash.
+            AvatarFileError: It must not be used, or no file has this hash.
         """
         if not self.has(identity):
-            raise OptionError(f"no avatar file with the hash {identity[:12]}…")
+            raise _unknown(identity)
         return self._begin_loading(identity).result()
 
     def close(self) -> None:
@@ -154,6 +149,11 @@ class AvatarLibrary:
                 left -= self._paths[identity].stat().st_size
             if index and left < 0:
                 del self._loading[identity]
+
+
+def _unknown(identity: str) -> AvatarFileError:
+    short = identity[:8] or "(none)"
+    return AvatarFileError(f"avatar file is missing here: get {short} and name it with --avatar")
 
 
 def _load(path: Path) -> Avatar:

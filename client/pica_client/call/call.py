@@ -178,11 +178,6 @@ class Call:
         Raises:
             AvatarFileError: It is not to be had here, or came and must not be used: says the fix.
         """
-        if not self._avatars.has(avatar_id):
-            short = avatar_id[:8] or "(none)"
-            raise AvatarFileError(
-                f"avatar file is missing here: get {short} and name it with --avatar"
-            )
         return self._avatars.get(avatar_id)
 
     # The people
@@ -389,11 +384,8 @@ class _OneAvatar:
     def __init__(self, identity: str, avatar: Avatar) -> None:
         self._identity, self._avatar = identity, avatar
 
-    def has(self, identity: str) -> bool:
-        return identity == self._identity
-
     def get(self, identity: str) -> Avatar | None:
-        return self._avatar if self.has(identity) else None
+        return self._avatar if identity == self._identity else None
 
     def note(self, identity: str) -> str:
         return ""

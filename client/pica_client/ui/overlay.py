@@ -31,7 +31,6 @@ from pica_client.ui.widgets import (
     as_drawn,
     card,
     icon_button,
-    ink,
     note,
     px,
     screen,
@@ -138,7 +137,7 @@ def _dotted(text: str, tone: Tone, points: float = TEXT_PT) -> None:
         if tone != "plain":
             place, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
             centre = (place.x + px(DOT_PT) / 4, place.y + height / 2)
-            colour = ink(TONES[tone])
+            colour = imgui.color_convert_float4_to_u32(TONES[tone])
             shapes = imgui.get_window_draw_list()
             shapes.add_circle_filled(centre, px(DOT_PT) / 4, colour)
             imgui.dummy((0, height))

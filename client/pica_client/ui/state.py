@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import urlsplit, urlunsplit
 
-from pica_client.errors import OptionError
 from pica_client.publish import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import ViewState as Orbit
@@ -127,12 +126,12 @@ class PreferencesFile:
     def load(self) -> ViewState:
         """What is in the file; defaults if there is none, or none that can be used."""
         try:
-            values = _known(Preferences, json.loads(self.path.read_bytes()))
-            values["sound"] = SoundSettings(**_known(SoundSettings, values["sound"]))
-            return ViewState(**values)
+            content = json.loads(self.path.read_bytes())
+            sound = SoundSettings(**_known(SoundSettings, content.get("sound", {})))
+            return ViewState(**_known(Preferences, content) | {"sound": sound})
         except FileNotFoundError:
             return ViewState()
-        except (OSError, ValueError, TypeError, RecursionError, OptionError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
             reason = getattr(error, "strerror", None) or error
             say(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
             return ViewState()
@@ -162,18 +161,11 @@ def _without_secrets(url: str) -> str:
         return ""
 
 
-def _known(kind: type, content: Any) -> dict[str, Any]:
-    """The values of a dataclass, each as JSON holds it; what else is beside them is left out.
+def _known(kind: type, content: dict[str, Any]) -> dict[str, Any]:
+    """The values of a dataclass, each as the type of its default; what else is there is left out.
 
     Raises:
-        ValueError: Names the first that is of another type.
+        ValueError, TypeError: One cannot be converted.
     """
-    if not isinstance(content, dict):
-        raise ValueError(f"{content!r:.50} is no object of {kind.__name__}")
-    known = asdict(kind()) | {name: content[name] for name in asdict(kind()) if name in content}
-    for name, usual in asdict(kind()).items():
-        if isinstance(usual, tuple) and isinstance(known[name], list):
-            known[name] = tuple(known[name])
-        if not isinstance(known[name], type(usual)):
-            raise ValueError(f"{name} is {known[name]!r:.50}, which cannot be used")
-    return known
+    usual = asdict(kind())
+    return {name: type(usual[name])(content[name]) for name in usual if name in content}

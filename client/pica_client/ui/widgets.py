@@ -250,11 +250,6 @@ def hint(text: str) -> None:
             imgui.set_tooltip(text)
 
 
-def ink(colour: Colour) -> int:
-    """Return a colour as draw lists take it."""
-    return imgui.color_convert_float4_to_u32(colour)
-
-
 def text_size(text: str, points: float) -> Place:
     """Return the units that a line of text takes."""
     return _text_size(text, points, imgui.get_style().font_scale_dpi)
@@ -269,16 +264,10 @@ def _text_size(text: str, points: float, scale: float) -> Place:
 
 def shortened(text: str, width: float, points: float) -> str:
     """Return a text as it is drawn, no wider than so many units: its end is "…" if it must be."""
-    if text_size(text, points)[0] <= width:
-        return as_drawn(text)
-    low, high = 0, len(text)
-    while low < high:
-        middle = (low + high + 1) // 2
-        if text_size(text[:middle].rstrip() + "…", points)[0] <= width:
-            low = middle
-        else:
-            high = middle - 1
-    return as_drawn(text[:low].rstrip() + "…")
+    kept, end = text, ""
+    while kept and text_size(kept + end, points)[0] > width:
+        kept, end = kept[:-1].rstrip(), "…"
+    return as_drawn(kept + end)
 
 
 @lru_cache(maxsize=1024)

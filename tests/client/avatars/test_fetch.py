@@ -190,7 +190,6 @@ async def test_a_missing_avatar_comes_from_the_relay_and_then_from_the_disk(
 ) -> None:
     async with relay_with(toy.data) as url:
         with fetcher(url, tmp_path) as fetching:
-            assert fetching.has(toy.identity)
             assert fetching.get(toy.identity) is None
             assert fetching.note(toy.identity).startswith("avatar is on its way")
             await until(lambda: fetching.get(toy.identity) is not None)

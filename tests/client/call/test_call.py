@@ -102,19 +102,8 @@ def test_a_peer_without_a_face_track_has_no_seat(call: Call) -> None:
     assert call.faces(0.0) == []
 
 
-def test_an_avatar_that_is_not_here_is_an_error_with_the_fix_and_no_face(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1, avatar="b" * 64)), now=0.0)
-    call.receive_event(frame(1, 0, 0), now=0.0)
-    assert call.faces(0.1)[0].status == "waiting"
-    with pytest.raises(AvatarFileError, match=r"missing here: get bbbbbbbb .* --avatar"):
-        call.avatar("b" * 64)
-
-
 class DamagedAvatars:
     """A store in which every file is there and damaged."""
-
-    def has(self, identity: str) -> bool:
-        return True
 
     def get(self, identity: str) -> Avatar | None:
         raise AvatarFileError(f"{identity[:8]}: cut or damaged")
@@ -164,7 +153,8 @@ def test_a_library_finds_avatars_by_name_file_and_hash(tmp_path: Path) -> None:
         library.find("bob")
     with pytest.raises(AvatarFileError, match=r"none\.pica"):
         library.find(str(tmp_path / "none.pica"))
-    assert library.get("f" * 64) is None
+    with pytest.raises(AvatarFileError, match=r"missing here: get bbbbbbbb .* --avatar"):
+        library.get("b" * 64)
     library.close()
 
 

@@ -48,9 +48,8 @@ def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: Preferen
         '{"window_size": [0, 5, 7]}',
         '{"window_size": [0, "x"]}',
         '{"window_size": null}',
-        '{"shows_self": 1}',
-        '{"scale": true}',
-        '{"shows_self": "yes"}',
+        '{"sound": {"volume": "loud"}}',
+        '{"sound": {"volume": 9}}',
         "[" * 20_000,
     ],
 )

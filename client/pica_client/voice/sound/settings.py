@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from pica_client.errors import OptionError
 from pica_client.voice.jitter_buffer import JitterBufferReport, Moment
 from pica_client.voice.opus import MAX_LEVEL
 
@@ -35,7 +34,7 @@ class SoundSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.volume <= MAX_VOLUME:
-            raise OptionError(f"volume is {self.volume!r}; 0 to {MAX_VOLUME:g}")
+            raise ValueError(f"volume is {self.volume!r}; 0 to {MAX_VOLUME:g}")
 
 
 @dataclass(frozen=True, slots=True)
