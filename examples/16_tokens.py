@@ -10,14 +10,14 @@ import json
 
 from pica_protocol.messages import Join
 from pica_server.limits import RefusalError
-from pica_server.tokens import Admission, KeyRing, admit, mint
+from pica_server.tokens import Admission, admit, mint, new_key_line, parse_keys
 
 NOW = 1_800_000_000.0
 HOUR_S = 3600.0
 
-keys = KeyRing.parse(KeyRing.new_line())  # a line of the file that `pica token --new-key` writes
+keys = parse_keys(new_key_line())  # a line of the file that `pica token --new-key` writes
 admission = Admission(identity="ada", name="Ada", may_publish=True)
-token = mint(keys, "standup", admission, now=NOW, lasts_s=HOUR_S, starts_s=0.0)
+token = mint(keys, "standup", admission, now=NOW, lasts_s=HOUR_S)
 claims = token.split(".")[1]
 print(json.loads(base64.urlsafe_b64decode(claims + "=" * (-len(claims) % 4))))
 
@@ -28,7 +28,7 @@ cases = {
     "too late": (keys, join, NOW + 2 * HOUR_S),
     "another room": (keys, Join(room="boardroom", name="Ada", tracks=(), token=token), NOW),
     "no token": (keys, Join(room="standup", name="Ada", tracks=()), NOW),
-    "another key": (KeyRing.parse(KeyRing.new_line()), join, NOW),
+    "another key": (parse_keys(new_key_line()), join, NOW),
 }
 for what, (ring, request, now) in cases.items():
     try:

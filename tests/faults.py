@@ -37,7 +37,7 @@ from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
-from pica_server.tokens import Admission, KeyRing, load_keys, mint
+from pica_server.tokens import Admission, load_keys, mint, new_key_line
 from simnet.peers import peer_in_room
 
 NAMES = ("ada", "bob", "cleo")
@@ -91,12 +91,12 @@ class Call:
     def make_tokens(self) -> None:
         """Make a key file for the relay and a token for each client."""
         keys = self.folder / "keys"
-        keys.write_text(KeyRing.new_line())
+        keys.write_text(new_key_line())
         ring, now = load_keys(keys), time.time()
         for name in (*NAMES, "viewer"):
             admission = Admission(identity=name, avatars=("*",))
             self.tokens[name] = self.folder / name
-            token = mint(ring, "lobby", admission, now=now, lasts_s=900, starts_s=0)
+            token = mint(ring, "lobby", admission, now=now, lasts_s=900)
             self.tokens[name].write_text(token)
         self.relay_arguments += ("--keys", str(keys))
 
@@ -249,7 +249,7 @@ async def _path_lost(call: Call) -> None:
 @fault("wrong keys for 2 s", with_tokens=True)
 async def _wrong_keys(call: Call) -> None:
     wrong = call.folder / "wrong"
-    wrong.write_text(KeyRing.new_line())
+    wrong.write_text(new_key_line())
     right, call.relay_arguments = call.relay_arguments, ("--keys", str(wrong))
     await call.restart_relay(0.5)
     await asyncio.sleep(2.0)

@@ -32,7 +32,7 @@ from pica_server.room.hub import Hub
 from pica_server.status_pages import StatusPages
 from pica_server.store.store import AvatarStore
 from pica_server.store.transfers import Downloads, Uploads
-from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
+from pica_server.tokens import Keys, admin_scope, admit, admit_upload, load_keys
 
 if TYPE_CHECKING:
     from pica_server.placement.placement import RoomPlacement
@@ -79,7 +79,7 @@ class Relay:
         """
         self.config = config
         self._processor_s = processor_s
-        keys: KeyRing | None = None
+        keys: Keys | None = None
         if config.keys is not None:
             keys = load_keys(config.keys)
         self.hub = Hub(
@@ -113,14 +113,12 @@ class Relay:
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
-        most, needed = most_sockets(), config.max_connections + limits.handshakes
-        self.is_short_of_descriptors = most < needed
         self._guard = SocketGuard(
             handshakes=limits.handshakes,
             per_address=per_address,
             per_s=limits.sockets_per_s,
             burst=limits.sockets_burst,
-            most=most,
+            most=most_sockets(),
         )
         self._silent: set[RelaySocket] = set()
         self._server: Server | None = None

@@ -45,7 +45,7 @@ MAX_AVATARS: Final = 14
 """Avatars in one token; more would not fit into it."""
 
 MAX_LASTS_S: Final = 100 * 365 * 86_400
-"""No token opens a room for longer."""
+"""A hundred years: no token opens a room for longer."""
 _MAX_TIME_S: Final = 2.0**53
 """Seconds since 1970 that a float still counts one by one."""
 
@@ -66,65 +66,56 @@ class Admission:
     """Whether they may moderate the room, and see who is in it over HTTP."""
 
 
-class KeyRing:
-    """Signing keys by id, the newest last.
+Keys = dict[str, bytes]
+"""Secrets that tokens are signed with, by the id of the key, the newest last."""
 
-    The file has one key on each line, its id and its secret in base64url; ``#`` begins a comment.
+
+def parse_keys(text: str) -> Keys:
+    """Read a key file: one key on each line, its id and its secret in base64url; ``#`` begins a
+    comment.
+
+    Raises:
+        ConfigurationError: A line is wrong, two keys share an id, or there is none; names the line,
+            never a secret.
     """
-
-    def __init__(self, keys: Mapping[str, bytes]) -> None:
-        self._keys = dict(keys)
-
-    @classmethod
-    def parse(cls, text: str) -> "KeyRing":
-        """Read a key file.
-
-        Raises:
-            ConfigurationError: A line is wrong, two keys share an id, or there is none; names the
-                line, never a secret.
-        """
-        keys: dict[str, bytes] = {}
-        for number, line in enumerate(text.splitlines(), start=1):
-            words = line.partition("#")[0].split()
-            if not words:
-                continue
-            if len(words) != 2:
-                raise ConfigurationError(f"line {number}: write a key id and its secret")
-            key_id, encoded = words
-            try:
-                check_token("the key id", key_id)
-                padded = encoded + "=" * (-len(encoded) % 4)
-                secret = base64.b64decode(padded, altchars=b"-_", validate=True)
-            except (ValueError, binascii.Error) as error:
-                raise ConfigurationError(f"line {number}: a bad key id, or no base64url") from error
-            if len(secret) < MIN_SECRET_BYTES:
-                raise ConfigurationError(
-                    f"line {number}: a secret has {MIN_SECRET_BYTES} bytes or more"
-                )
-            if key_id in keys:
-                raise ConfigurationError(f"line {number}: key id {key_id} is there already")
-            keys[key_id] = secret
-        if not keys:
-            raise ConfigurationError("there is no key in it; make one with `pica token --new-key`")
-        return cls(keys)
-
-    @staticmethod
-    def new_line() -> str:
-        """Return the line of a new key."""
-        encoded = base64.urlsafe_b64encode(secrets.token_bytes(MIN_SECRET_BYTES)).rstrip(b"=")
-        return f"k{secrets.token_hex(4)} {encoded.decode()}\n"
-
-    @property
-    def newest(self) -> str:
-        """The id of the key that signs."""
-        return next(reversed(self._keys))
-
-    def secret(self, key_id: str) -> bytes | None:
-        """Return a key, or None."""
-        return self._keys.get(key_id)
+    keys: Keys = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        if len(words) != 2:
+            raise ConfigurationError(f"line {number}: write a key id and its secret")
+        key_id, encoded = words
+        try:
+            check_token("the key id", key_id)
+            padded = encoded + "=" * (-len(encoded) % 4)
+            secret = base64.b64decode(padded, altchars=b"-_", validate=True)
+        except (ValueError, binascii.Error) as error:
+            raise ConfigurationError(f"line {number}: a bad key id, or no base64url") from error
+        if len(secret) < MIN_SECRET_BYTES:
+            raise ConfigurationError(
+                f"line {number}: a secret has {MIN_SECRET_BYTES} bytes or more"
+            )
+        if key_id in keys:
+            raise ConfigurationError(f"line {number}: key id {key_id} is there already")
+        keys[key_id] = secret
+    if not keys:
+        raise ConfigurationError("there is no key in it; make one with `pica token --new-key`")
+    return keys
 
 
-def load_keys(path: Path) -> KeyRing:
+def new_key_line() -> str:
+    """Return the line of a new key."""
+    encoded = base64.urlsafe_b64encode(secrets.token_bytes(MIN_SECRET_BYTES)).rstrip(b"=")
+    return f"k{secrets.token_hex(4)} {encoded.decode()}\n"
+
+
+def newest_of(keys: Keys) -> str:
+    """Return the id of the key that signs."""
+    return next(reversed(keys))
+
+
+def load_keys(path: Path) -> Keys:
     """Read a key file.
 
     Raises:
@@ -133,7 +124,7 @@ def load_keys(path: Path) -> KeyRing:
     try:
         if os.name == "posix" and path.stat().st_mode & stat.S_IWOTH:
             raise ConfigurationError("anybody can write keys into it: make new ones, for its owner")
-        return KeyRing.parse(text_of_file(path.read_bytes()))
+        return parse_keys(text_of_file(path.read_bytes()))
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "no text"
         raise ConfigurationError(f"--keys {path}: {what}") from error
@@ -141,16 +132,13 @@ def load_keys(path: Path) -> KeyRing:
         raise ConfigurationError(f"--keys {path}: {error}") from error
 
 
-def mint(
-    keys: KeyRing, room: str, admission: Admission, *, now: float, lasts_s: float, starts_s: float
-) -> str:
+def mint(keys: Keys, room: str, admission: Admission, *, now: float, lasts_s: float) -> str:
     """Return a token for one room, signed with the newest key.
 
     Args:
         room: Where it lets its owner in; ``*`` is the rooms that an admin may manage, all of them.
         now: Seconds since 1970.
         lasts_s: Seconds from ``now`` until it ends.
-        starts_s: Seconds from ``now`` until it begins.
 
     Raises:
         ValueError: A field is out of its limits.
@@ -165,18 +153,14 @@ def mint(
     for avatar in admission.avatars:
         if avatar != ANY_AVATAR and not is_avatar_id(avatar):
             raise ValueError(f"avatars must be SHA-256 in hexadecimal or *, got {quoted(avatar)}")
-    if not 0 <= starts_s < lasts_s:
-        raise ValueError(f"it must begin before it ends, got {starts_s:g} and {lasts_s:g} s")
-    if lasts_s > MAX_LASTS_S:
-        raise ValueError(
-            f"lasts_s must be at most {MAX_LASTS_S:g}, a hundred years, got {lasts_s:g}"
-        )
+    if not 0 < lasts_s <= MAX_LASTS_S:
+        raise ValueError(f"lasts_s must be in 0..{MAX_LASTS_S:g}, got {lasts_s:g}")
     claims: dict[str, Any] = {
         "aud": AUDIENCE,
         "sub": admission.identity,
         "room": room,
         "iat": int(now),
-        "nbf": int(now + starts_s),
+        "nbf": int(now),
         "exp": int(now + lasts_s),
         "publish": admission.may_publish,
         "subscribe": admission.may_subscribe,
@@ -186,15 +170,14 @@ def mint(
         claims["name"] = admission.name
     if admission.may_admin:
         claims["admin"] = True
-    secret = keys.secret(keys.newest)
-    assert secret is not None
-    token = jwt.encode(claims, secret, algorithm=ALGORITHM, headers={"kid": keys.newest})
+    key_id = newest_of(keys)
+    token = jwt.encode(claims, keys[key_id], algorithm=ALGORITHM, headers={"kid": key_id})
     if len(token) > MAX_PASS_BYTES:
         raise ValueError(f"the token has {len(token)} bytes, the limit is {MAX_PASS_BYTES}")
     return token
 
 
-def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
+def admit(keys: Keys, join: Join, *, now: float) -> Admission:
     """Check the token of a join, and what the join asks for against it; ``now`` is Unix time.
 
     Raises:
@@ -233,14 +216,14 @@ def _check_publishing(may_publish: bool, allowed: Sequence[str], worn: Sequence[
         raise RefusalError("the token does not let you wear this", CloseCode.FORBIDDEN)
 
 
-def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
+def admit_upload(keys: Keys, token: str, avatar: str, *, now: float) -> None:
     """Check that a token, for any room, lets its owner publish with an avatar, and so upload it;
     raises as `admit`."""
     claims = _claims_that_hold(keys, token, now)
     _check_publishing(claims.get("publish") is True, _avatars(claims), [avatar])
 
 
-def admin_scope(keys: KeyRing, token: str, *, now: float) -> str:
+def admin_scope(keys: Keys, token: str, *, now: float) -> str:
     """Return the room that an admin's token is for, or ``ANY_ROOM``; ``now`` is Unix time.
 
     Raises:
@@ -261,12 +244,12 @@ def _avatars(claims: Mapping[str, Any]) -> list[str]:
     return avatars
 
 
-def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any]:
+def _claims_that_hold(keys: Keys, token: str, now: float) -> Mapping[str, Any]:
     if not token:
         raise _unauthorized("this relay wants a token")
     try:
         key_id = jwt.get_unverified_header(token).get("kid")
-        secret = keys.secret(key_id) if isinstance(key_id, str) else None
+        secret = keys.get(key_id) if isinstance(key_id, str) else None
         if secret is None:
             raise _unauthorized("the token is signed with a key that is not known here")
         claims: Mapping[str, Any] = jwt.decode(

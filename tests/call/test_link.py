@@ -21,7 +21,7 @@ from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent, ServerSession, State
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
-from pica_server.tokens import Admission, KeyRing, load_keys, mint
+from pica_server.tokens import Admission, load_keys, mint, new_key_line
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import peer_in_room
 
@@ -103,9 +103,9 @@ async def test_who_was_in_a_room_that_is_full_now_waits_a_minute_for_a_place() -
 def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
     right, wrong, token_file = tmp_path / "right", tmp_path / "wrong", tmp_path / "token"
     for keys in (right, wrong):
-        keys.write_text(KeyRing.new_line())
+        keys.write_text(new_key_line())
     admission = Admission(identity="ada")
-    token = mint(load_keys(right), "r", admission, now=1e9, lasts_s=900, starts_s=0)
+    token = mint(load_keys(right), "r", admission, now=1e9, lasts_s=900)
     token_file.write_text(token, encoding="utf-16")  # as PowerShell writes it
 
     @in_virtual_time
@@ -179,11 +179,11 @@ async def test_a_websocket_server_of_another_language_is_refused_by_name() -> No
 
 def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_path: Path) -> None:
     keys, token_file = tmp_path / "keys", tmp_path / "token"
-    keys.write_text(KeyRing.new_line())
+    keys.write_text(new_key_line())
 
     def write_token(now: float) -> None:
         admission = Admission(identity="ada")
-        token = mint(load_keys(keys), "r", admission, now=now, lasts_s=60, starts_s=0)
+        token = mint(load_keys(keys), "r", admission, now=now, lasts_s=60)
         token_file.write_text(f"{token}\n")
 
     @in_virtual_time

@@ -23,7 +23,7 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Whisper
 from pica_server.log import LINES_AT_ONCE, MOST_WAITING, Style, logging_to, say
-from pica_server.tokens import Admission, KeyRing, load_keys, mint
+from pica_server.tokens import Admission, load_keys, mint, new_key_line
 from simnet.peers import FACE, peer_in_room
 
 pytestmark = pytest.mark.realtime
@@ -122,12 +122,12 @@ FORWARDED = "203.0.113.77"
 def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path) -> None:
     """A call with tokens, bad joins, garbage, a flood and a lost peer; then the log is searched."""
     key_file = tmp_path / "keys"
-    key_file.write_text(KeyRing.new_line())
+    key_file.write_text(new_key_line())
     keys = load_keys(key_file)
 
     def token(identity: str) -> str:
         admission = Admission(identity=identity)
-        return mint(keys, ROOM, admission, now=time.time(), lasts_s=60, starts_s=0)
+        return mint(keys, ROOM, admission, now=time.time(), lasts_s=60)
 
     face = replace(FACE, avatar="")
     tokens = [token("severus"), token("albus")]

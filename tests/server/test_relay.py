@@ -19,7 +19,7 @@ from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.net.pump import LONGEST_WAIT_S
 from pica_server.relay import Relay
-from pica_server.tokens import Admission, KeyRing, load_keys, mint
+from pica_server.tokens import Admission, load_keys, mint, new_key_line
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
 from simnet.peers import FACE, now, open_websocket, peer_in_room
@@ -222,11 +222,11 @@ def test_an_admin_lists_the_rooms_over_http_and_removes_somebody_by_a_message(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "keys"
-    path.write_text(KeyRing.new_line())
+    path.write_text(new_key_line())
 
     def token(identity: str, *, may_admin: bool, room: str = "lobby") -> str:
         admission = Admission(identity=identity, may_admin=may_admin)
-        return mint(load_keys(path), room, admission, now=1e9, lasts_s=60, starts_s=0)
+        return mint(load_keys(path), room, admission, now=1e9, lasts_s=60)
 
     async def ask(*headers: str) -> tuple[int, bytes]:
         reader, writer = await asyncio.open_connection("relay", 8765)

@@ -121,7 +121,7 @@ def test_signals_that_repeat_cost_no_numbers(name: signal.Signals) -> None:
 
 
 @pytest.mark.parametrize("tls", [False, True])
-def test_with_few_descriptors_it_says_so_and_goes_on(tls: bool, tmp_path: Path) -> None:
+def test_with_few_descriptors_it_goes_on(tls: bool, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "pica_command", "relay", "--port", "0", "--avatar-store", "none"]
     if tls:  # another event loop
         path = write_certificate(tmp_path)
@@ -130,9 +130,7 @@ def test_with_few_descriptors_it_says_so_and_goes_on(tls: bool, tmp_path: Path) 
         ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *words], stderr=subprocess.PIPE, text=True
     )
     assert relay.stderr is not None
-    said = [relay.stderr.readline().strip() for _ in range(3)]
-    port = int(said[0].rpartition(":")[2])
-    assert said[2].startswith("few file descriptors")
+    port = int(relay.stderr.readline().rpartition(":")[2])
     with ExitStack() as sockets:
         for _ in range(100):
             sockets.enter_context(socket.create_connection(("127.0.0.1", port), 1))

@@ -12,15 +12,12 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.log import Style, logging_to, say
-
-if TYPE_CHECKING:
-    from pica_server.store.store import AvatarStore
 
 _logger = logging.getLogger(__name__)
 
@@ -88,10 +85,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
             _spare_the_collector()
             with _ready_file(options.ready_file, url):
                 _say("listening", f"listening on {url}", url=url)
-                _say_what_is_open(options.config, server.store)
-                if server.is_short_of_descriptors:
-                    fix = "raise `ulimit -n`, or lower --max-connections"
-                    _say("few descriptors", f"few file descriptors: {fix}")
+                _say_what_is_open(options.config)
                 first = await signals.get()
             if first == signal.SIGTERM and options.config.drain_s > 0:
                 num_open = server.hub.num_connections
@@ -112,20 +106,13 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
     return {"url": url, **stats}
 
 
-def _say_what_is_open(config: RelayConfig, store: "AvatarStore | None") -> None:
+def _say_what_is_open(config: RelayConfig) -> None:
     if config.insecure:
         _say("insecure", "INSECURE: anybody who reaches this port may join any room")
     elif config.keys is None:
         _say("development", "DEVELOPMENT: no --keys, anybody on this machine may join any room")
     elif os.name == "posix" and config.keys.stat().st_mode & stat.S_IROTH:
         _say("keys open", "anybody on this machine can read the key file: chmod 600 it")
-    if store is not None:
-        num_avatars = store.num_avatars
-        _say(
-            "avatar store",
-            f"avatar store {config.avatar_store}: {num_avatars} avatars",
-            avatars=num_avatars,
-        )
 
 
 def _spare_the_collector() -> None:

@@ -10,7 +10,14 @@ from typing import Any
 
 from pica_protocol.invite import Invite, make_link
 from pica_server.config import ConfigurationError
-from pica_server.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
+from pica_server.tokens import (
+    ANY_AVATAR,
+    Admission,
+    load_keys,
+    mint,
+    new_key_line,
+    newest_of,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,8 +38,6 @@ class TokenOptions:
     lasts_s: float = 3600.0
     """Seconds until it expires: an hour, unless said otherwise. It is checked when its owner
     joins."""
-    starts_s: float = 0.0
-    """Seconds until it begins to hold."""
     publish: bool = True
     """Whether they may send a face."""
     subscribe: bool = True
@@ -66,12 +71,11 @@ def token(options: TokenOptions) -> dict[str, Any]:
         avatars=(ANY_AVATAR,) if options.avatars == ("any",) else options.avatars,
     )
     now = time.time()
-    times = {"now": now, "lasts_s": options.lasts_s, "starts_s": options.starts_s}
     try:
-        minted = mint(keys, options.room, admission, **times)
+        minted = mint(keys, options.room, admission, now=now, lasts_s=options.lasts_s)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-    result = {"token": minted, "key_id": keys.newest, "expires": int(now + options.lasts_s)}
+    result = {"token": minted, "key_id": newest_of(keys), "expires": int(now + options.lasts_s)}
     until = time.strftime("%Y-%m-%d %H:%M", time.localtime(now + options.lasts_s))
     print(f"it opens {options.room} until {until}; --lasts-s says how long", file=sys.stderr)
     if not options.link:
@@ -89,7 +93,7 @@ def _add_key(path: Path) -> dict[str, Any]:
     try:
         # An editor may have left the last key without an end of its line.
         is_torn = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
-        line = "\n" * is_torn + KeyRing.new_line()
+        line = "\n" * is_torn + new_key_line()
         # Readable for its owner alone from its first moment.
         with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "ab", 0) as file:
             before = file.tell()
@@ -103,6 +107,6 @@ def _add_key(path: Path) -> dict[str, Any]:
                 raise
     except OSError as error:
         raise ConfigurationError(f"--keys {path}: {error.strerror}") from error
-    key_id = load_keys(path).newest
+    key_id = newest_of(load_keys(path))
     print(f"added key {key_id} to {path}; start the relay again to use it", file=sys.stderr)
     return {"key_id": key_id, "file": str(path)}

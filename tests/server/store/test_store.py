@@ -23,7 +23,7 @@ from pica_server.config import ConfigurationError, RelayConfig, StoreConfig
 from pica_server.limits import RefusalError
 from pica_server.relay import Relay
 from pica_server.store.store import AvatarStore, Slots
-from pica_server.tokens import Admission, KeyRing, mint
+from pica_server.tokens import Admission, mint, new_key_line, parse_keys
 
 pytestmark = pytest.mark.call
 
@@ -117,13 +117,13 @@ async def test_a_relay_without_a_store_says_so_both_ways() -> None:
 
 @pytest.mark.asyncio
 async def test_with_keys_only_who_may_wear_an_avatar_may_upload_it(tmp_path: Path) -> None:
-    line = KeyRing.new_line()
+    line = new_key_line()
     (tmp_path / "keys").write_text(line)
-    ring, now = KeyRing.parse(line), 1e9
+    ring, now = parse_keys(line), 1e9
 
     def token(begins_s: float = now, **grants: object) -> str:
         admission = Admission(identity="ada", **grants)  # type: ignore[arg-type]
-        return mint(ring, "lobby", admission, now=begins_s, lasts_s=60, starts_s=0)
+        return mint(ring, "lobby", admission, now=begins_s, lasts_s=60)
 
     settings = {"keys": tmp_path / "keys"}
     async with store_relay(tmp_path / "store", config=settings, unix_time=lambda: now) as relay:
