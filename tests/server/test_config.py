@@ -1,6 +1,8 @@
+from typing import Any
+
 import pytest
 
-from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
+from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig, StoreConfig
 
 pytestmark = pytest.mark.unit
 
@@ -31,37 +33,18 @@ def test_what_is_no_origin_is_refused(origin: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
+    ("kind", "field", "value", "option"),
     [
-        ("port", 65_536),
-        ("port", -1),
-        ("room_capacity", 0),
-        ("room_capacity", 65),
-        ("max_connections", 0),
-        ("handshake_timeout_s", 0.0),
-        ("stall_timeout_s", float("nan")),
-        ("ping_interval_s", -1.0),
-        ("close_timeout_s", 1e9),
+        (RelayConfig, "port", 65_536, "--port"),
+        (RelayConfig, "room_capacity", 65, "--room-capacity"),
+        (RelayConfig, "max_connections", 0, "--max-connections"),
+        (RelayConfig, "stall_timeout_s", float("nan"), "--stall-timeout-s"),
+        (LimitsConfig, "joins_per_s", -1.0, "--limits.joins-per-s"),
+        (StoreConfig, "largest_bytes", 2**26 + 1, "--store.largest-bytes"),
     ],
 )
-def test_a_setting_out_of_range_is_refused_by_name_with_its_range(field: str, value: float) -> None:
-    option = "--" + field.replace("_", "-")
+def test_a_setting_out_of_range_is_refused_by_name_with_its_range(
+    kind: Any, field: str, value: float, option: str
+) -> None:
     with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got {value}"):
-        RelayConfig(**{field: value})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("bytes_per_s", float("nan")),
-        ("burst_s", 0.0),
-        ("joins_per_s", -1.0),
-        ("joins_burst", 0.0),
-        ("connections_per_address", 0),
-        ("handshakes", 0),
-    ],
-)
-def test_a_limit_out_of_range_is_refused_by_name_with_its_range(field: str, value: float) -> None:
-    option = "--limits." + field.replace("_", "-")
-    with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got {value}"):
-        LimitsConfig(**{field: value})  # type: ignore[arg-type]
+        kind(**{field: value})

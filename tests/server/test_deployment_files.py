@@ -158,22 +158,6 @@ def test_the_relay_of_the_manifests_can_start_and_has_time_to_drain(tmp_path: Pa
     assert int(nats[2]) in {port["port"] for port in service["spec"]["ports"]}
 
 
-def test_the_probes_of_the_relay_ask_pages_that_it_has(tmp_path: Path) -> None:
-    words = ["--config", str(relay_file(tmp_path)), "--public-url", "wss://relay-0.example.org"]
-    config = relay_options(words, {})
-    pages = StatusPages(Hub(config), config)
-    (container,) = pod_of(MANIFESTS["StatefulSet", "relay"])["containers"]
-    for probe, path in (
-        ("startupProbe", "/healthz"),
-        ("livenessProbe", "/healthz"),
-        ("readinessProbe", "/readyz"),
-    ):
-        asked = container[probe]["httpGet"]
-        assert asked["path"] == path
-        assert asked["scheme"] == "HTTPS"
-        assert pages.answer(path, is_local=False, now=0.0) is not None
-
-
 def exported_series() -> set[str]:
     """Return the names of all series that /metrics has."""
     config = RelayConfig()

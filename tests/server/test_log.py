@@ -1,12 +1,12 @@
 """The log: its form, its limit, and what must never stand in it."""
 
 import asyncio
+import errno
 import io
 import json
 import logging
 import re
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -195,39 +195,13 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
         assert all({"time", "level", "event"} <= set(event) for event in events)
 
 
-def test_nobody_who_reads_the_log_stops_nothing_but_the_log(tmp_path: Path) -> None:
-    """Its standard error is a little buffer; a flood of lines fills it, and then comes SIGTERM."""
+def test_a_full_disk_stops_nothing_but_the_log() -> None:
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
 
-    async def call(url: str) -> None:
-        async with peer_in_room(url, NAME) as ada, peer_in_room(url, OTHER_NAME) as bob:
-            for _ in range(100):
-                async with peer_in_room(url, NAME, room=ROOM):
-                    pass
-            await ada.send_frame(PAYLOAD)
-            assert (await bob.until(Frame)).payload == PAYLOAD
-
-    ready = tmp_path / "url"
-    arguments = f"--port 0 --json --ready-file {ready} --drain-s 1"
-    unread, stderr = socket.socketpair()
-    stderr.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
-    with unread, stderr:
-        relay = subprocess.Popen(
-            [sys.executable, "-m", "pica_command", "relay", *arguments.split()],
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            text=True,
-        )
-        try:
-            while not ready.exists():
-                time.sleep(0.02)
-            asyncio.run(asyncio.wait_for(call(ready.read_text().strip()), 60))
-            relay.send_signal(signal.SIGTERM)
-            said, _ = relay.communicate(timeout=10)
-        finally:
-            relay.kill()
-            relay.communicate()
-        assert relay.returncode == 0
-    assert json.loads(said)["joins"] == 102
+    with logging_to(Full(), "json", lambda: 0.0):
+        OURS.warning("lost")
 
 
 def test_lines_that_were_dropped_are_told_of_when_it_flows_again() -> None:

@@ -287,22 +287,3 @@ async def test_a_relay_that_stops_does_not_wait_for_sockets_that_say_nothing() -
         await asyncio.sleep(1)
         stops_s = now()
     assert now() - stops_s < 1
-
-
-@in_virtual_time
-async def test_what_comes_late_and_all_at_once_is_passed_on_whole() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        payloads = [bytes([index]) for index in range(12)]
-        messages: list[bytes] = []
-        for payload in payloads:
-            captured_us = round(now() * 1e6)
-            ada.session.send_frame(payload, captured_us)
-            messages += ada.session.messages_to_send(now())
-        for message in messages:
-            await ada.websocket.send(message)
-        await asyncio.sleep(0.05)
-        assert [frame.payload for _, frame in bob.arrivals] == payloads

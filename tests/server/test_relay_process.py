@@ -16,10 +16,7 @@ from pathlib import Path
 import pytest
 
 from helpers.certificates import write_certificate
-from pica_client.transport.connect import LinkConfig
-from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined
 from simnet.peers import peer_in_room
 
 pytestmark = pytest.mark.realtime
@@ -188,38 +185,6 @@ def test_an_open_relay_says_loudly_that_it_is_open() -> None:
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=30)
     assert process.returncode == 0
-
-
-def test_clients_go_to_the_relay_that_they_are_told_of() -> None:
-    async def call(first: "subprocess.Popen[str]", url: str, other: str) -> list[float]:
-        joined: asyncio.Queue[float] = asyncio.Queue()
-        links = []
-
-        def note(event: object, now: float) -> None:
-            if isinstance(event, Joined):
-                joined.put_nowait(now)
-
-        for i in range(3):
-            config = LinkConfig(url=url, room=f"r{i}", name="guest")
-            links.append(Link(config, on_event=note))
-        running = [asyncio.create_task(link.run()) for link in links]
-        async with asyncio.timeout(30):
-            for _ in links:
-                await joined.get()
-            start = asyncio.get_running_loop().time()
-            first.send_signal(signal.SIGTERM)
-            gaps_s = [await joined.get() - start for _ in links]
-            assert all(link.is_joined and link.url == other for link in links)
-            for link in links:
-                link.leave()
-            await asyncio.gather(*running)
-        return gaps_s
-
-    with running_relay() as (_, other), running_relay("--drain-to", other) as (first, url):
-        gaps_s = asyncio.run(call(first, url, other))
-        _, stderr = first.communicate(timeout=30)
-    assert first.returncode == 0, stderr
-    assert max(gaps_s) < 10  # much less in fact; a second try would wait no longer than that
 
 
 def test_a_second_signal_ends_a_drain_at_once() -> None:

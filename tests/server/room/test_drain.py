@@ -4,16 +4,14 @@ import asyncio
 
 import pytest
 
-from pica_protocol.client_session import ClientSession
+from helpers.members import Member
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Bye,
-    Message,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
-    Track,
     UpdateMetadata,
     Whisper,
 )
@@ -30,27 +28,8 @@ URL = "ws://relay:8765"
 ELSEWHERE = "ws://other:8765"
 
 
-class Guest:
-    """A client without a socket."""
-
-    def __init__(self, hub: Hub, room: str, at: float = 0.0) -> None:
-        self.hub = hub
-        self.connection = hub.connect(at)
-        tracks = (Track(kind="face"),)
-        self.session = ClientSession(room=room, name="guest", tracks=tracks, now=at)
-        self.speak(at)
-        self.hear(at)
-
-    def speak(self, at: float) -> None:
-        self.hub.receive(self.connection, self.session.messages_to_send(at), at)
-
-    def hear(self, at: float) -> list[Message]:
-        heard = []
-        while (message := self.hub.take(self.connection, at)) is not None:
-            self.hub.sent(self.connection, message, at)
-            self.session.receive_data(message.data, at)
-            heard.append(decode_message(message.data))
-        return heard
+def guest_in(hub: Hub, room: str, now: float = 0.0) -> Member:
+    return Member(hub, "guest", room=room, now=now)
 
 
 def draining_hub(**limits: float) -> Hub:
@@ -60,38 +39,38 @@ def draining_hub(**limits: float) -> Hub:
 
 def test_a_room_goes_together_and_nobody_is_told_how_the_others_leave() -> None:
     hub = draining_hub()
-    guests = [Guest(hub, "tea") for _ in range(3)]
+    guests = [guest_in(hub, "tea") for _ in range(3)]
     for guest in guests:
-        guest.hear(0.0)
+        guest.listen(0.0)
     hub.drain(now=1.0)
     bye = Bye(code=1001, reason="the relay is stopping", url=ELSEWHERE)
-    assert [guest.hear(1.0) for guest in guests] == [[bye]] * 3
+    assert [guest.listen(1.0) for guest in guests] == [[bye]] * 3
     assert hub.num_connections == 0
 
 
 def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
     hub = draining_hub()
-    ada, bob = Guest(hub, "tea"), Guest(hub, "tea")
-    ada.hear(0.0)
+    ada, bob = guest_in(hub, "tea"), guest_in(hub, "tea")
+    ada.listen(0.0)
     bob.session.tell(UpdateMetadata(metadata=(("hand", "up"),)))
     bob.speak(1.0)
     bob.session.close()
     bob.speak(1.0)
     hub.drain(now=1.0)
-    assert [type(message) for message in ada.hear(1.0)] == [PeerUpdated, PeerLeft, Bye]
+    assert [type(message) for message in ada.listen(1.0)] == [PeerUpdated, PeerLeft, Bye]
 
 
 def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
     hub = draining_hub(joins_per_s=1)
-    first = [Guest(hub, "first", at) for at in (0.0, 0.0)]
-    second = [Guest(hub, "second", at) for at in (5.0, 10.0)]
+    first = [guest_in(hub, "first", at) for at in (0.0, 0.0)]
+    second = [guest_in(hub, "second", at) for at in (5.0, 10.0)]
     hub.drain(now=20.0)
     assert [guest.connection.closed is not None for guest in first] == [True, True]
     assert hub.num_connections == 2
     hub.handle_timer(now=21.9)
     second[0].session.tell(Whisper(peer_id=str(second[1].session.peer_id), data=b"still here"))
     second[0].speak(21.9)
-    assert second[1].hear(21.9) == [
+    assert second[1].listen(21.9) == [
         Whisper(peer_id=str(second[0].session.peer_id), data=b"still here")
     ]
     hub.handle_timer(now=22.0)
@@ -101,8 +80,8 @@ def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
 def test_who_comes_while_the_relay_drains_is_told_where_to_go() -> None:
     hub = draining_hub(joins_per_s=1)
     waiting = hub.connect(0.0)
-    Guest(hub, "a", 0.0)
-    Guest(hub, "b", 5.0)
+    guest_in(hub, "a", 0.0)
+    guest_in(hub, "b", 5.0)
     hub.drain(now=20.0)
     late = hub.connect(20.1)
     for connection in (waiting, late):

@@ -5,7 +5,7 @@ import pytest
 from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
-from pica_server.room.outbox import MAX_CONTROL_BYTES, SLOW_MESSAGE_BYTES, SLOW_S, Outbox
+from pica_server.room.outbox import SLOW_MESSAGE_BYTES, SLOW_S, Outbox
 
 pytestmark = pytest.mark.unit
 
@@ -71,26 +71,6 @@ def test_no_message_is_longer_than_the_limit() -> None:
         assert len(message.data) <= MAX_MEDIA_MESSAGE_BYTES
         streams += [frame.stream for frame in decode_media(message.data)]
     assert streams == list(range(1, 41))
-
-
-def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
-    outbox = Outbox(Counter())
-    outbox.put_control(bytes(MAX_CONTROL_BYTES - 40))
-    assert not outbox.put_control(bytes(41))
-    assert outbox.waiting_control_bytes == MAX_CONTROL_BYTES - 40
-
-
-def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> None:
-    outbox = Outbox(Counter())
-    outbox.put_control(bytes(MAX_CONTROL_BYTES))
-    put(outbox, 1)
-    assert outbox.finish([b"goodbye"]) == 1
-    messages = [outbox.take(0.0) for _ in range(3)]
-    assert [message and message.data for message in messages] == [
-        bytes(MAX_CONTROL_BYTES),
-        b"goodbye",
-        None,
-    ]
 
 
 @pytest.mark.parametrize("is_slow", [False, True])

@@ -38,21 +38,6 @@ def test_streams_wrap_around_those_in_use() -> None:
     assert join(room, "bob", "Bob", (FACE,)).tracks[0].stream == 2
 
 
-def test_a_subscription_limits_the_frames_of_one_stream_for_one_peer() -> None:
-    room = room_of("ada", "bob", "cyd")
-    ids = {each: each for each in ("ada", "bob", "cyd")}
-    room.subscribe("bob", stream=1, every=2)
-    assert room.receivers(room.streams[1], 6, ids) == ["bob", "cyd"]
-    assert room.receivers(room.streams[1], 7, ids) == ["cyd"]
-    assert room.receivers(room.streams[3], 7, ids) == ["ada", "bob"]
-
-
-def test_a_subscription_for_a_stream_that_has_ended_changes_nothing() -> None:
-    room = room_of("ada", "bob")
-    room.leave("ada")
-    assert not room.subscribe("bob", stream=1, every=1)
-
-
 def test_a_peer_that_wants_a_stream_again_is_told_apart_from_one_that_never_stopped() -> None:
     room = room_of("ada", "bob")
     found = [room.subscribe("bob", 1, every) for every in (4, 0, 0, 2, 1)]
