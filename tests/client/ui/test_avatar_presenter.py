@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Container
 from dataclasses import replace
 
@@ -16,7 +15,6 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer
 from pica_client.schedule.scheduler import Scheduler
-from pica_client.ui import avatar_presenter
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
@@ -47,24 +45,6 @@ class OneFace:
 
     def subscribe(self, peer_id: str, every: int, now: float) -> None:
         """There is no stream."""
-
-
-def test_the_usage_that_the_module_shows_draws_whoever_is_there() -> None:
-    shown = (avatar_presenter.__doc__ or "").split("\n\n")[2]
-    context = create_context()
-    with Renderer(context, (80, 60)) as renderer, DecodePool(OnnxDecoder) as pool:
-        names = {each.__name__: each for each in (AvatarPresenter, Scheduler)} | {
-            "source": OneFace(),
-            "renderer": renderer,
-            "pool": pool,
-            "now": 1.0,
-            "budget_s": 0.02,
-        }
-        exec(textwrap.dedent(shown), names)
-        _, _, heads = renderer.read_surface()
-        assert [placement.slot for placement in names["scene"].placements] == ["p1"]
-        assert (heads == 0).any()  # until it is decoded, the head that stands in for it
-    context.release()
 
 
 class MovingFaces(OneFace):

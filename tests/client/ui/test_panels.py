@@ -1,10 +1,12 @@
-"""What stands over a call, clicked on without a window: the bar, signs, names, statistics."""
+"""What stands over a call and beside it, clicked on without a window: bar, signs, names, panels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, pairwise
+from typing import Any, get_args
 
 import pytest
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -12,15 +14,17 @@ from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
-from pica_client.call.status import CallStatus
+from pica_client.call.status import AvatarFigures, CallStatus
+from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish import TrackerPreview
-from pica_client.ui.actions import Action
+from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import (
     NOTICE_S,
     CallView,
     Notice,
     NoticeBoard,
     OwnFaceView,
+    Panel,
     PersonView,
 )
 from pica_client.ui.overlay import (
@@ -32,20 +36,30 @@ from pica_client.ui.overlay import (
     own_signs,
     signs,
 )
-from pica_client.ui.state import ViewState
+from pica_client.ui.side import side_panel, signs_of, waiting_page
+from pica_client.ui.state import Side, ViewState
 from pica_client.ui.widgets import as_drawn
 from pica_client.ui.window import ON_PICTURE
-from pica_protocol.messages import Peer, Track
+from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
+from pica_protocol.messages import BarIdentity, MutePeer, Peer, RemovePeer, Track
 
 pytestmark = pytest.mark.unit
 
-STATE = ViewState(own_face="sent")
-FACE, RECORDS = Track(kind="face", stream=1), (("records", "yes"),)
+INVITATION = "pica://relay.example/standup"
+FACE, VOICE = Track(kind="face", stream=1), Track(kind="voice", stream=2)
+RECORDS = (("records", "yes"),)
 ME = Member(peer=Peer(peer_id="me", name="Me", tracks=(FACE,)))
-ADA = Member(peer=Peer(peer_id="p1", name="Ada", tracks=(FACE,)), place=1)
+ADA = Member(peer=Peer(peer_id="p1", name="Ada", tracks=(FACE, VOICE), identity="ada-1"), place=3)
 BEN = Member(peer=Peer(peer_id="p2", name="Ben", metadata=RECORDS), place=5)
-STATUS = CallStatus(participants=(ME, ADA, BEN), room="standup", duration_s=247.0)
-CALL = CallView(people=(PersonView(peer_id="p1", name="Ada"),), status=STATUS)
+STATUS = CallStatus(
+    participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
+)
+STATE = ViewState(own_face="sent")
+LISTED = replace(STATE, side="participants")
+SETTINGS = replace(STATE, side="settings")
+CALL = CallView(people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),), status=STATUS)
+AS_ADMIN = replace(CALL, status=replace(STATUS, is_admin=True))
+ALONE = CallView(status=replace(STATUS, participants=(ME,)))
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 2.0)]
 BUTTONS = {
     "Hide your face": Action.MUTE_FACE,
@@ -57,6 +71,11 @@ BUTTONS = {
     "Help": Action.HELP,
     "Leave the call": Action.CLOSE,
 }
+
+
+def ada(**said: Any) -> Member:
+    """Ada, with other fields of the peer."""
+    return replace(ADA, peer=replace(ADA.peer, **said))
 
 
 @pytest.fixture
@@ -194,3 +213,202 @@ def test_every_glyph_of_a_name_is_found(hand: Hand, name: str) -> None:
 )
 def test_a_name_that_runs_to_the_left_is_turned_round_and_joined(name: str, drawn: str) -> None:
     assert as_drawn(name) == drawn
+
+
+def texts(hand: Hand, panel: Panel, call: CallView, state: ViewState = LISTED) -> str:
+    """All that a panel writes."""
+    written: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(imgui, "text_unformatted", written.append)
+        hand.frame(lambda: panel(replace(state), call))
+    return "\n".join(written)
+
+
+def clicking(
+    hand: Hand, panel: Panel, state: ViewState, call: CallView, *labels: str
+) -> list[Request]:
+    """Click on widgets of a panel, which may write into the state; give what the last one asks."""
+    for label in labels:
+        asked = hand.click(label, lambda: panel(state, call))
+    return asked
+
+
+def test_the_menu_of_a_person_pins_and_makes_them_softer(hand: Hand) -> None:
+    state = replace(LISTED, volumes={})
+    clicking(hand, side_panel, state, CALL, "More on Ada", "Pin")
+    assert state.pinned == 3
+    state.volumes[3] = 0.0
+    clicking(hand, side_panel, state, CALL, "More on Ada", "##volume")
+    hand.press(imgui.Key.escape, lambda: side_panel(state, CALL))
+    assert state.volumes == {3: pytest.approx(1.0, abs=0.05)}
+    clicking(hand, side_panel, state, CALL, "More on Ben")
+    assert not any("Pin" in label or "More on Me" in label for label in hand.places)
+
+
+def test_all_participants_are_listed_with_what_is_said_of_them(hand: Hand) -> None:
+    warned = replace(ADA, warning="looks like your name", note="face is off")
+    said = texts(hand, side_panel, replace(CALL, status=replace(STATUS, participants=(ME, warned))))
+    for text in ("2 in standup, 4:07", "Me (you)", "Ada", "looks like your name", "face is off"):
+        assert text in said
+    assert "Not encrypted end to end" in said
+    assert INVITATION in said
+
+
+def test_the_code_to_read_aloud_stands_in_groups(hand: Hand) -> None:
+    code = "12345 23456 34567 45678 56789 67890"
+    status = replace(STATUS, is_encrypted=True, code=code)
+    said = texts(hand, side_panel, replace(CALL, status=status)).splitlines()
+    assert {"12345   23456   34567", "45678   56789   67890"} <= set(said)
+
+
+@pytest.mark.parametrize(
+    ("person", "volume", "is_encrypted", "signs"),
+    [
+        (BEN, 1, False, ["CIRCLE", "EYE"]),
+        (
+            ada(metadata=(("face", "muted"),), is_name_assured=True),
+            1,
+            True,
+            ["EYE_SLASH", "TRIANGLE_EXCLAMATION", "CHECK"],
+        ),
+        (replace(ADA, is_verified=True), 0.5, True, ["VOLUME_HIGH", "LOCK"]),
+        (ada(metadata=(("voice", "muted"),)), 0, False, ["MICROPHONE_SLASH", "VOLUME_XMARK"]),
+        (ME, 1, True, []),
+    ],
+)
+def test_signs_beside_a_name(
+    person: Member, volume: float, is_encrypted: bool, signs: list[str]
+) -> None:
+    found = signs_of(person, is_encrypted=is_encrypted, volume=volume)
+    assert [icon for icon, _, _ in found] == [getattr(icons, f"ICON_FA_{sign}") for sign in signs]
+
+
+@pytest.mark.parametrize(
+    ("panel", "call"), [(side_panel, CALL), (waiting_page, ALONE)], ids=["list", "page"]
+)
+def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, call: CallView) -> None:
+    assert clicking(hand, panel, LISTED, call, "Copy the invitation") == [Action.COPY_INVITATION]
+
+
+def test_the_waiting_page_says_where_and_who_only_watches(hand: Hand) -> None:
+    said = texts(hand, waiting_page, ALONE)
+    assert "You are in the room standup." in said
+    assert "watch" not in said
+    watched = replace(ALONE, status=replace(STATUS, participants=(ME, BEN)))
+    assert "One person watches without showing a face." in texts(hand, waiting_page, watched)
+    assert texts(hand, waiting_page, CALL) == ""
+    lost = replace(ALONE, status=replace(STATUS, is_connected=False))
+    assert texts(hand, waiting_page, lost) == ""
+
+
+def test_each_setting_is_one_click(hand: Hand) -> None:
+    state = replace(SETTINGS)
+    labels = (
+        "View",
+        "##layout",
+        "Grid",
+        "##scale",
+        "125%",
+        "My own",
+    )
+    clicking(hand, side_panel, state, CALL, *labels)
+    assert (state.layout, state.shows_self) == ("grid", False)
+    assert state.scale == 1.25
+    state.side = "help"
+    assert clicking(hand, side_panel, state, CALL, "Close") == [Action.CLOSE]
+
+
+def test_the_source_of_the_face_is_chosen_during_the_call(hand: Hand) -> None:
+    state = replace(SETTINGS, source="livelink")
+    call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, None)))
+    clicking(hand, side_panel, state, call, "##source", "VTuber")
+    assert state.source == "vmc"
+    assert clicking(hand, side_panel, state, call, "Calibrate") == [Action.CALIBRATE]
+
+
+def test_devices_are_changed_during_a_call(hand: Hand) -> None:
+    sound = SoundState(
+        microphones=("Desk",),
+        speakers=("Horn",),
+        speaker=DeviceState("Horn", "no loudspeaker 'Old'; 'Horn' is used"),
+        cleaning="echo cancellation is missing: pip install 'pica-telepresence[echo]'",
+    )
+    state = ViewState(side="settings", own_voice="sent", voice="mic")
+    call = CallView(sound=sound)
+    clicking(hand, side_panel, state, call, "Sound")
+    assert "no loudspeaker 'Old'" in texts(hand, side_panel, call, state)
+    labels = ("##microphone", "Desk", "##speaker", "Horn", "Hold Space", "Voices come")
+    clicking(hand, side_panel, state, call, *labels)
+    chosen = SoundSettings(microphone="Desk", speaker="Horn", push_to_talk=True, is_stereo=False)
+    assert state.sound == chosen
+    assert clicking(hand, side_panel, state, call, "Play a test") == [Action.TEST_SOUND]
+    assert state.voice == "mic"
+    listening = replace(state, own_voice="none")
+    hand.frame(lambda: side_panel(listening, call))
+    assert not any("##microphone" in label for label in hand.places)
+
+
+@pytest.mark.parametrize(
+    ("item", "asked"),
+    [
+        ("Mute voice", MutePeer(peer_id="p1", kind="voice", is_muted=True)),
+        ("Mute face", MutePeer(peer_id="p1", kind="face", is_muted=True)),
+        ("Remove", RemovePeer(peer_id="p1")),
+        ("Bar until the room is empty", BarIdentity(identity="ada-1", is_barred=True)),
+    ],
+)
+def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: Request) -> None:
+    state = replace(LISTED, barred={})
+    clicking(hand, side_panel, state, CALL, "More on Ada")
+    assert not any(item in label for label in hand.places)  # for admins alone
+    hand.press(imgui.Key.escape, lambda: side_panel(state, CALL))
+    assert clicking(hand, side_panel, state, AS_ADMIN, "More on Ada", item) == [asked]
+
+
+def test_an_admin_lets_a_barred_person_rejoin_and_unmutes_another(hand: Hand) -> None:
+    state = replace(LISTED, barred={"eve-1": "Eve"})
+    eve = replace(ADA, muted_streams=frozenset({2}))
+    call = replace(AS_ADMIN, status=replace(AS_ADMIN.status, participants=(ME, eve)))
+    asked = clicking(hand, side_panel, state, call, "Let Eve rejoin")
+    assert asked == [BarIdentity(identity="eve-1", is_barred=False)]
+    assert state.barred == {}
+    asked = clicking(hand, side_panel, state, call, "More on Ada", "Unmute voice")
+    assert asked == [MutePeer(peer_id="p1", kind="voice", is_muted=False)]
+
+
+def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_unknown(
+    hand: Hand,
+) -> None:
+    known = PersonView(
+        peer_id="a",
+        name="Ada",
+        figures=AvatarFigures(
+            level=128, decode_ms=4.25, latency_ms=1e6, num_decoded=1, is_speaking=False
+        ),
+        member=replace(
+            ADA, payload_bps=1730.0, stream=PlayoutReport(shown=200, concealed=3, age_s=0.012)
+        ),
+    )
+    call = CallView(people=(known, PersonView(peer_id="b", name="")), figures=(("30.0", "fps"),))
+    said = texts(hand, side_panel, call, replace(LISTED, side="statistics")).split("\n")
+    first = said.index("Ada")
+    assert said[first : first + 7] == ["Ada", "128", "4.2", "1.7", "–", "12", "1.5"]
+    assert said[first + 7 : first + 14] == ["", *["–"] * 6]
+    assert "30.0 fps" in said
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])
+def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
+    many = tuple(replace(ada(peer_id=f"p{n}", name="W" * 64), note="x" * 80) for n in range(63))
+    call = replace(
+        CALL,
+        status=replace(STATUS, participants=(ME, *many), code="12345 " * 6, is_encrypted=True),
+        notices=tuple(Notice("n" * 200, "alert") for _ in range(3)),
+    )
+    with open_hand(size) as hand:
+        for side in get_args(Side):
+            state = replace(LISTED, side=side)
+            for _ in range(2):
+                for panel in (side_panel, signs, waiting_page):
+                    hand.frame(partial(panel, state, call))
+                    assert all(right <= size[0] for _, _, right, _ in hand.places.values())

@@ -14,7 +14,6 @@ from imgui_bundle import imgui
 from helpers.hand import frame, press
 from pica_client.ui.actions import keyboard
 from pica_client.ui.state import ViewState
-from pica_client.ui.widgets import scale_for
 from pica_client.ui.window import ON_PICTURE, Surface, Window
 from pica_core.errors import GraphicsError
 from pica_core.gl import create_context
@@ -97,19 +96,3 @@ def test_signs_and_panels_are_painted_where_they_are_wanted() -> None:
     context.release()
     black, left, right = (0, 0, 0), (0, 255, 0), (255, 0, 0)
     assert seen == [[left, right], [left, black], [black, right]]
-
-
-@pytest.mark.parametrize(
-    ("size", "content_scale", "low", "high"),
-    [
-        ((480, 360), 1, 0.8, 0.8),
-        ((320, 240), 1, 0.5, 0.6),
-        ((1280, 720), 1, 1, 1),
-        ((3840, 2160), 1, 1.7, 1.75),
-        ((2560, 1440), 2, 2, 2),
-    ],
-)
-def test_larger_pictures_have_larger_type_within_limits(
-    size: tuple[int, int], content_scale: float, low: float, high: float
-) -> None:
-    assert low <= scale_for(size, content_scale) <= high
