@@ -165,21 +165,20 @@ async def test_a_stream_that_nobody_sees_costs_next_to_nothing(avatar: Avatar) -
     assert ada["concealed_ratio"] <= 0.02
 
 
-@pytest.mark.parametrize("away_s", [2.0, 14.0])
 @in_virtual_time
 async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
-    away_s: float, avatar: Avatar
+    avatar: Avatar,
 ) -> None:
     current_network().route("viewer", up=Wire(delay_s=ONE_WAY_S), down=Wire(delay_s=ONE_WAY_S))
     loop = asyncio.get_running_loop()
     async with Relay(RelayConfig(port=0)) as relay:
         began_s = loop.time()
-        sending = asyncio.create_task(make_sender(relay.url, avatar, away_s + 10).run())
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 24).run())
         viewer = Viewer(make_receiver(relay.url, avatar))
-        watching = asyncio.create_task(viewer.run(away_s + 9))
+        watching = asyncio.create_task(viewer.run(23))
         await asyncio.sleep(5)
         viewer.every = 0
-        await asyncio.sleep(away_s)
+        await asyncio.sleep(14)
         back_s = await viewer.subscribe_from_now(1)
         await watching
         await sending
@@ -200,26 +199,3 @@ async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
     assert {face.status for at_s, face in shown if at_s > moves_s} == {"live"}
     times_us = [face.captured_us for _, face in viewer.faces if face.latent is not None]
     assert times_us == sorted(times_us)
-
-
-@in_virtual_time
-async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once_seen(
-    avatar: Avatar,
-) -> None:
-    async with Relay(RelayConfig(port=0)) as relay:
-        sender = make_sender(relay.url, avatar, 60)
-        sending = asyncio.create_task(sender.run())
-        viewer = Viewer(make_receiver(relay.url, avatar))
-        watching = asyncio.create_task(viewer.run(12))
-        await asyncio.sleep(3)
-        viewer.every = 0
-        await asyncio.sleep(3)
-        current_network().stall("ada", 60)
-        back_s = await viewer.subscribe_from_now(1)
-        await watching
-        sender.stop()
-        sending.cancel()
-        await asyncio.gather(sending, return_exceptions=True)
-    statuses = [(at_s - back_s, face.status) for at_s, face in viewer.after(back_s)]
-    assert "stale" not in {status for since_s, status in statuses if since_s < 1.9}
-    assert {status for since_s, status in statuses if since_s > 2.5} == {"stale"}

@@ -66,6 +66,18 @@ def test_what_could_not_be_told_stays_due() -> None:
     assert told(ada, 2.0) == 0
 
 
+def test_a_stream_that_is_not_wanted_is_not_stale_and_has_two_seconds_once_it_is() -> None:
+    ada = make_participant()
+    ada.last_arrival_s = 0.0
+    ada.subscribe(0, now=0.0)
+    assert told(ada, 0.5) == 0
+    assert not ada.is_stale(60.0)
+    ada.subscribe(1, now=60.0)
+    assert told(ada, 60.0) == 1
+    assert not ada.is_stale(61.9)
+    assert ada.is_stale(62.1)
+
+
 @pytest.mark.parametrize(("every", "expected"), [(0, 0), (2, 2), (1, None)])
 def test_a_new_connection_is_told_at_once_if_less_is_wanted(
     every: int, expected: int | None
