@@ -201,6 +201,25 @@ async def test_who_comes_back_begins_anew_and_two_of_one_name_are_two_voices() -
                 person.receiver.stop()
 
 
+@pytest.mark.parametrize("who", ["ada", "ben"])
+@in_virtual_time
+async def test_after_six_seconds_without_radio_a_voice_is_fresh_within_a_second(who: str) -> None:
+    way = Wire(delay_s=0.03, queue_bytes=16_384)
+    current_network().route(who, up=way, down=way)
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", speaks=True), Person(relay.url, "ben")
+        meeting = asyncio.create_task(meet([ada, ben], 20.0))
+        await asyncio.sleep(5.0)
+        current_network().stall(who, 6.0)
+        await meeting
+    ((voice),) = ben.heard.values()
+    ages_s = [
+        arrived_s - packet.captured_us / 1e6 for packet, arrived_s in voice if arrived_s > 12.0
+    ]
+    assert len(ages_s) > 7.5 * 25
+    assert max(ages_s) < 0.15
+
+
 @in_virtual_time
 async def test_of_four_who_talk_in_turn_no_word_is_lost_over_64_kbit_s() -> None:
     async with Relay(RelayConfig(port=0)) as relay:

@@ -6,7 +6,8 @@
 Nothing in such a test waits for real: no socket, no thread, no executor. ``create_server`` and
 ``create_connection`` go to the simulated network (``simnet.network``), so real clients and the real
 relay run unchanged. When nothing is scheduled any more, time could stand still for ever: the loop
-raises RuntimeError instead. A test that leaves tasks behind fails.
+raises RuntimeError instead. A test that leaves tasks behind fails, and one in which a task failed
+unseen.
 
 Unrealistic: code takes no time, however long it runs, of the processor neither (a relay that counts
     the real seconds that its thread works would believe itself overloaded on a busy machine); all
@@ -107,8 +108,13 @@ def current_network() -> Network:
 
 
 async def _supervised(main: Coroutine[Any, Any, T]) -> T:
+    unheard: list[str] = []
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(lambda _, context: unheard.append(str(context)))
     result = await main
     await asyncio.sleep(GRACE_S)
+    if unheard:
+        raise AssertionError(f"errors that were not handled: {unheard}")
     left = asyncio.all_tasks() - {asyncio.current_task()}
     if left:
         raise AssertionError(f"{len(left)} tasks left: {sorted(map(repr, left))}")

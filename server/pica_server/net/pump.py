@@ -272,7 +272,7 @@ class Pump:
                     with suppress(TimeoutError):
                         async with asyncio.timeout(pace_s):
                             await is_urgent.wait()
-        except ConnectionClosed:
+        except (ConnectionClosed, OSError):  # the latter of a reset while the buffer drains
             return
         finally:
             peer.writer = peer.has_more = peer.is_urgent = None
