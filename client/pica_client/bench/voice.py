@@ -12,6 +12,7 @@ avatars are synthetic, and PESQ stands for listeners.
 import math
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -48,15 +49,15 @@ from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
-from pica_core.types import Array, FloatArray
+from pica_core.types import FloatArray
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
 ROOM_RMS = 0.001
 """Noise of the speaker's room: -60 dB of full scale."""
 SPOKEN_RMS = 0.005
 """Above it there is speech."""
-SCORE_HZ = 16_000
-"""What PESQ takes."""
+SCORE_HZ, SCORE_S = 16_000, 10
+"""What PESQ takes, samples a second and seconds."""
 RENDERS_PER_S = 10
 """Refreshes whose pictures are compared, a second."""
 SIZE_PX = 192
@@ -70,7 +71,7 @@ class BenchVoiceConfig:
     scenarios: Words = ()
     """Names of troubles, separated by commas; all by default."""
     seconds: float = 30.0
-    """Length of each run; the trouble lasts the middle third of it."""
+    """Length of each run, cellular ones six times as long; the trouble lasts the middle third."""
 
     def __post_init__(self) -> None:
         check_names("scenario", self.scenarios, BY_NAME)
@@ -120,24 +121,25 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
         ProfileError: The avatar has no stream profile.
         GraphicsError: No GL context; names the fix.
     """
-    profile, sound = avatar.stream_profile(), _speech(config.seconds)
-    frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
-    loud = np.sqrt(np.mean(np.square(frames), axis=1)) > SPOKEN_RMS
-    face = _true_face(avatar)
+    profile, face = avatar.stream_profile(), _true_face(avatar)
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
     rows = []
-    voice = _packets(sound)
+    said: dict[int, tuple[FloatArray, list[tuple[float, Frame]]]] = {}
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         for scenario in chosen:
+            if scenario.lasts not in said:
+                sound = _speech(config.seconds * scenario.lasts)
+                said[scenario.lasts] = sound, _packets(sound)
+            sound, voice = said[scenario.lasts]
             encoder = LatentEncoder(profile, fps=FPS)
-            delivery = deliver(face, encoder, scenario, config.seconds, voice)
+            delivery = deliver(face, encoder, scenario, len(sound) / RATE_HZ, voice)
             ear = _Ear(delivery.voices)
             ticks = play(delivery, LatentDecoder(profile), Playout(), ear.heard_us)
             rows.append(
                 {
                     "condition": scenario.name,
-                    "pesq": _pesq(sound, ear, config.seconds),
-                    **_timing(ear, ticks, loud, delivery),
+                    "pesq": _pesq(sound, ear, delivery),
+                    **_timing(ear, ticks, sound, delivery),
                     **_pictures(ticks, delivery, face, renderer),
                 }
             )
@@ -206,24 +208,31 @@ def _packets(sound: FloatArray) -> list[tuple[float, Frame]]:
     return packets
 
 
-def _pesq(sound: FloatArray, ear: _Ear, seconds: float) -> float | None:
-    """PESQ of the troubled third; None where nothing that sounds like an utterance is left."""
+def _pesq(sound: FloatArray, ear: _Ear, delivery: Delivery) -> float | None:
+    """PESQ of the troubled third, the mean of its pieces of `SCORE_S`; None where nothing that
+    sounds like an utterance is left."""
     from pesq import PesqError, pesq
 
-    begin, end = int(seconds / 3 * RATE_HZ), int(2 * seconds / 3 * RATE_HZ)
+    third = int(delivery.seconds / 3 * RATE_HZ)
     # Sample k of the sound leaves the loudspeaker at the first tick's time plus k samples.
     shift = round((np.nanmedian(ear.delays_s) - ear.counted[0][0]) * RATE_HZ)
-    played = np.concatenate(ear.sounds)[begin + shift : end + shift]
-    played = np.pad(played, (0, end - begin - len(played)))
-    true, played = (resampled(each, RATE_HZ, SCORE_HZ) for each in (sound[begin:end], played))
-    try:
-        return round(float(pesq(SCORE_HZ, true, played, "wb")), 2)
-    except PesqError:
-        return None
+    heard = np.concatenate(ear.sounds)[shift:]
+    scores = []
+    for begin in range(third, 2 * third, min(third, SCORE_S * RATE_HZ)):
+        end = min(begin + SCORE_S * RATE_HZ, 2 * third)
+        pair = sound[begin:end], np.pad(heard, (0, end))[begin:end]
+        with suppress(PesqError):
+            true, played = (resampled(each, RATE_HZ, SCORE_HZ) for each in pair)
+            scores.append(float(pesq(SCORE_HZ, true, played, "wb")))
+    return round(float(np.mean(scores)), 2) if scores else None
 
 
-def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, delivery: Delivery) -> dict[str, Any]:
+def _timing(
+    ear: _Ear, ticks: Sequence[Tick], sound: FloatArray, delivery: Delivery
+) -> dict[str, Any]:
     """Delay and skew of the troubled third, the skew of refreshes at which speech is heard."""
+    frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
+    loud = np.sqrt(np.mean(np.square(frames), axis=1)) > SPOKEN_RMS
     counted = np.array(ear.counted)
     is_troubled = np.array([delivery.is_troubled(tick_s) for tick_s in counted[:, 0]])
     delays_s, counts = np.array(ear.delays_s)[is_troubled], counted[is_troubled]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.bench.impairment import CALM, SCENARIOS, Impairment, Way
+from pica_client.bench.impairment import BY_NAME, CALM, MAX_GAP_S, SCENARIOS, Impairment, Way
 from pica_client.bench.stream_trial import FramePath
 from pica_client.errors import OptionError
 from pica_protocol.frames import Frame
@@ -75,8 +75,8 @@ def test_nothing_is_overtaken_comes_twice_or_is_lost_without_a_count(scenario, s
     assert len(arrived) + path.drops.total() == 120
 
 
-def test_after_a_stall_everything_comes_at_once() -> None:
-    arrived, _ = run(Impairment(stall_s=0.5, stall_interval_s=3), 200)
+def test_after_a_gap_everything_comes_at_once() -> None:
+    arrived, _ = run(Impairment(gap_s=0.5, gap_interval_s=3), 200)
     times = np.array([arrival_s for arrival_s, _ in arrived])
     gaps = np.diff(times)
     assert len(arrived) == 200
@@ -103,6 +103,21 @@ def test_a_rate_below_the_demand_keeps_the_delay_bounded() -> None:
     assert path.drops.total() == 600 - len(arrived) > 100
     # The queue, one message more, what is leaving, and the newest frame.
     assert delays(arrived).max() < CALM.delay_s + 8 * (400 + 3 * 100) / 12_000
+
+
+@pytest.mark.parametrize(("name", "longest_s"), [("walk", 0.5), ("car", 1.0), ("train", 3.0)])
+def test_a_cellular_way_has_hundreds_of_gaps_and_some_long_stalls(
+    name: str, longest_s: float
+) -> None:
+    way = Way(BY_NAME[f"cellular-{name}"].trouble, rng())
+    arrived_s = np.array([way.transmit(100, index * FRAME_S) for index in range(300 * 30)])
+    gaps = np.diff(arrived_s)
+    assert min(gaps) >= 0
+    assert 200 < (gaps > 0.1).sum() < 400
+    assert longest_s < max(gaps) <= MAX_GAP_S + 0.1
+    # What waited comes at once, and at the end nothing waits any more.
+    assert (gaps < 0.001).sum() > 500
+    assert np.median(arrived_s - np.arange(len(arrived_s)) * FRAME_S) < 0.05
 
 
 def test_an_impairment_out_of_range_is_refused() -> None:
