@@ -26,7 +26,7 @@ from helpers.playout_trial import (
     value_at,
     value_of,
 )
-from pica_client.playout.buffer import BLEND_S, CEILING_S, Playout
+from pica_client.playout.buffer import BLEND_S, CEILING_S, MAX_LAG_S, Playout
 
 pytestmark = pytest.mark.unit
 
@@ -233,3 +233,60 @@ def test_a_stream_that_is_no_longer_thinned_comes_closer() -> None:
     ticks = play(playout, frames, seconds=20)
     assert playout.report().concealed == 0
     assert max(tick.report.delay_s for tick in between(ticks, 12.5, 20)) <= FRAME_S + 1e-3
+
+
+# Led by a voice: the moment that is heard is the moment that is shown
+
+
+def led(playout: Playout, now: float, heard_s: float) -> tuple[float, float]:
+    """The moment shown, seconds since the first frame, and the face."""
+    played = playout.sample_at(now, FAR_CLOCK_US + round(heard_s * 1e6))
+    assert played is not None
+    return (played.captured_us - FAR_CLOCK_US) / 1e6, value_of(played)
+
+
+def test_a_face_waits_for_the_voice_that_is_heard() -> None:
+    playout = Playout()
+    for index in range(90):
+        now = index * FRAME_S + WAY_S
+        receive(playout, index, now)
+        if index > 5:
+            seen_s, _ = led(playout, now, now - 0.12)
+    assert seen_s == pytest.approx(now - 0.12, abs=0.002)
+
+
+def test_a_face_goes_as_fast_as_its_voice_and_never_ahead_of_it() -> None:
+    playout, heard_s = Playout(), 0.0
+    for index in range(120):
+        now = index * FRAME_S + WAY_S
+        receive(playout, index, now)
+        heard_s += FRAME_S * (1.4 if 60 <= index < 75 else 1.0)
+        if index == 10:
+            heard_s = now - 0.3
+        if index > 20:
+            assert -0.045 <= led(playout, now, heard_s)[0] - heard_s <= 0.002
+
+
+def test_a_face_whose_frames_are_late_catches_up_with_its_voice_without_a_snap() -> None:
+    playout, values = Playout(), []
+    for index in range(200):
+        now = index * FRAME_S + WAY_S
+        if not 100 <= index < 110:  # frames stop, the voice goes on
+            for each in range(100, 111) if index == 110 else (index,):
+                receive(playout, each, now)
+        if index > 40:
+            seen_s, value = led(playout, now, now - 0.12)
+            values.append(value)
+    assert seen_s == pytest.approx(now - 0.12, abs=MAX_LAG_S)
+    # Ten frames are missing: it never jumps over them at once.
+    assert max(abs(after - before) for before, after in pairwise(values)) < 8
+
+
+def test_a_voice_of_another_clock_does_not_lead() -> None:
+    playout = Playout()
+    for index in range(60):
+        now = index * FRAME_S + WAY_S
+        receive(playout, index, now)
+        if index > 5:
+            seen_s, _ = led(playout, now, -500.0)
+    assert seen_s == pytest.approx(now - WAY_S, abs=0.06)
