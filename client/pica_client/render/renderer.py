@@ -41,7 +41,7 @@ from pica_client.render.draw_list import (
     list_heads,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
-from pica_client.render.gpu_maps import EXPRESSIONS, POSITIONS, HeadMaps
+from pica_client.render.gpu_maps import HeadMaps
 from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.layers import (
@@ -225,17 +225,14 @@ class Renderer(Closing):
         entry.maps.write(position_map, expression_map)
         entry.version = self._next_version()
 
-    def map_targets(
-        self, slot: str, level: int, *, both: bool
-    ) -> tuple[moderngl.Framebuffer | None, moderngl.Framebuffer] | None:
-        """Where a decoder in shaders is to draw a slot's positions and expressions of a level now;
-        without `both` the positions stay. None for a slot without an avatar."""
+    def map_targets(self, slot: str) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer] | None:
+        """Where a decoder in shaders is to draw a slot's full positions and expressions now; None
+        for a slot without an avatar."""
         entry = self._slots.get(slot)
         if entry is None or entry.maps is None:
             return None
         entry.version = self._next_version()
-        positions = entry.maps.target(level, POSITIONS) if both else None
-        return positions, entry.maps.target(level, EXPRESSIONS)
+        return entry.maps.targets()
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
