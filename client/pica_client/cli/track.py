@@ -6,15 +6,12 @@ source ``csv:FILE`` plays it, and other programs read it. Where the head is does
 
 import time
 from collections import Counter
-from contextlib import ExitStack, closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
 
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.sources.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S, save_calibration
@@ -42,9 +39,7 @@ SHIFTED_AT_REST: Final = 0.15
 MANY_CONSTANT: Final = 5
 NAMED_SHAPES: Final = 6
 """Names in a hint before it says how many more."""
-REDRAW_S = 0.1
-BAR_CELLS = 20
-SHOWN_SHAPES = 16
+POLL_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -198,20 +193,12 @@ def track(options: TrackOptions) -> dict[str, Any]:
     """Show what a tracker sends: rate, gaps, shapes, head, and what would mend it."""
     check_writable(options.record)
     recorder = Recorder()
-    console = Console(stderr=True)
-    with closing(_open(options.source, recorder)) as source, ExitStack() as stack:
+    with closing(_open(options.source, recorder)) as source:
         say(f"listening for {options.source}; Ctrl-C ends")
-        live = None
-        if console.is_terminal:
-            live = stack.enter_context(Live(console=console, auto_refresh=False, transient=True))
-        try:
-            end_s = time.monotonic() + (options.seconds or float("inf"))
+        end_s = time.monotonic() + (options.seconds or float("inf"))
+        with suppress(KeyboardInterrupt):
             while time.monotonic() < end_s:
-                time.sleep(REDRAW_S)
-                if live is not None:
-                    live.update(_bars(recorder, source.trouble), refresh=True)
-        except KeyboardInterrupt:
-            pass
+                time.sleep(POLL_S)
         trouble = source.trouble
     result = recorder.report(trouble, source.refused, source.subjects)
     result |= {"source": options.source, "sender": getattr(source, "sender", "")}
@@ -251,7 +238,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         while not samples:
             if time.monotonic() > end_s:
                 raise SourceError(source.trouble or "the tracker sees no face")
-            time.sleep(REDRAW_S)
+            time.sleep(POLL_S)
         at_rest = gather(options.seconds)
         closed: list[FloatArray] = []
         if options.eyes_closed:
@@ -286,19 +273,3 @@ def _open(text: str, tap: SampleTap) -> Tracker:
     if kind not in TRACKER_KINDS:
         raise SourceError(f"source {text!r} is no tracker; write {LIVE_HELP}")
     return open_live(kind, rest, tap=tap)
-
-
-def _bars(recorder: Recorder, trouble: str) -> Table:
-    """The shapes that are highest now, as bars."""
-    title = trouble or f"{len(recorder.samples)} samples"
-    table = Table(title=title, show_header=False, box=None)
-    if recorder.samples and recorder.samples[-1][1].has_face:
-        values = {
-            name: float(value)
-            for name, value in zip(ARKIT_NAMES, recorder.samples[-1][1].arkit, strict=True)
-            if value == value  # not sent: NaN
-        }
-        for name in sorted(values, key=lambda each: -values[each])[:SHOWN_SHAPES]:
-            cells = round(min(max(values[name], 0.0), 1.0) * BAR_CELLS)
-            table.add_row(name, "█" * cells + "·" * (BAR_CELLS - cells), f"{values[name]:.2f}")
-    return table

@@ -211,12 +211,10 @@ def place_labels(
         not to be seen, or where there is no room beside the faces.
     """
     seen = [_look(head, camera, least_px) for head in heads]
-    faces = [each.face for each in seen if each is not None]
-    shown = [each for each in seen if each is not None and _is_seen(each, seen, camera)]
-    return [
-        None if each is None or each not in shown else _room(each, faces, shown, camera, least_px)
-        for each in seen
-    ]
+    found = [each for each in seen if each is not None]
+    shown = [each for each in found if _is_seen(each, found, camera)]
+    faces = [each.face for each in found]
+    return [each and _room(each, faces, shown, camera, least_px) for each in seen]
 
 
 def _look(head: FloatArray, camera: Camera, least_px: tuple[float, float]) -> _Seen | None:
@@ -253,16 +251,16 @@ def _room(
     for face in faces:
         if overlap((x - half, top, x + half, bottom), face):
             half = min(half, max(face[0] - gap - x, x - face[2] - gap))
-    if 2 * half < least_px[0] or bottom + gap > camera.height:
+    if own not in shown or 2 * half < least_px[0] or bottom + gap > camera.height:
         return None
     return x - half, top, x + half, bottom
 
 
-def _is_seen(own: _Seen, everybody: Sequence[_Seen | None], camera: Camera) -> bool:
+def _is_seen(own: _Seen, everybody: Sequence[_Seen], camera: Camera) -> bool:
     """Whether enough of a face is on the picture and not behind others."""
     left, top, right, bottom = own.face
     area = (right - left) * (bottom - top)
     hidden = area - common_px(own.face, (0.0, 0.0, float(camera.width), float(camera.height)))
-    nearer = [each.face for each in everybody if each and each.depth_m < own.depth_m]
+    nearer = [each.face for each in everybody if each.depth_m < own.depth_m]
     hidden = max([hidden, *(common_px(own.face, face) for face in nearer)])
     return hidden < HIDDEN_SHARE * area

@@ -215,7 +215,7 @@ def _row(person: Member, state: ViewState, call: CallView) -> list[Request]:
     imgui.table_next_row(0, px(MENU_PT + 6))
     imgui.table_next_column()
     lower = imgui.get_cursor_pos_y() + px(3)  # in the middle of the button's height
-    imgui.set_cursor_pos_y(lower)
+    imgui.set_cursor_pos_y(lower + px(3))
     speaks = any(each.peer_id == person.peer_id and each.is_speaking for each in call.people)
     with widgets.type_size(10):
         imgui.text_colored(TONES["good"], icons.ICON_FA_CIRCLE if speaks else "")
