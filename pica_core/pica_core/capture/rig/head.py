@@ -35,6 +35,7 @@ from pica_core.capture.triangles import (
     vertex_normals,
     visibility,
 )
+from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray
 
 GUARD_M, GUARD_SOFT_M, GUARD_HARD_M = 0.001, 0.0001, 1e-6
@@ -385,4 +386,6 @@ def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> R
     moved = {name: np.any(delta != 0, axis=1) for name, delta in source.shapes.items()}
     names = map_names(list(source.shapes), table, moved)
     mesh = build_mesh(source, names)
+    if not mesh.motion_m.any():
+        raise CaptureError(f"{source.path}: no shape with a known name moves what is drawn")
     return RigHead(mesh, names, source.path.stem or source.path.name)

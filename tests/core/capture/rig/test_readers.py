@@ -184,6 +184,13 @@ def test_a_rig_is_no_larger_than_people(tmp_path: Path) -> None:
         make_rig(read_rig(write_glb(tmp_path / "large.glb", rig)))
 
 
+def test_a_rig_whose_known_shapes_move_only_what_is_not_drawn_is_refused(tmp_path: Path) -> None:
+    rig = toy_rig()
+    rig.quads["EyeOcclusion"] = rig.quads.pop("skin")
+    with pytest.raises(CaptureError, match="no shape with a known name moves what is drawn"):
+        make_rig(read_rig(write_glb(tmp_path / "still.glb", rig)))
+
+
 def test_a_glb_of_numbers_that_cannot_be_is_refused(tmp_path: Path) -> None:
     rig = toy_rig()
     rig.shapes["jawOpen"][3, 1] = np.nan
