@@ -37,12 +37,12 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import OwnFaceView
-from pica_client.ui.options import ViewOptions, parse_size
+from pica_client.ui.options import BUDGET_SHARE, DISPLAY_FPS, SOFTWARE_FPS, ViewOptions, parse_size
 from pica_client.ui.overlay import ASPECT, own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.window import Surface, Window
-from pica_core.gl import create_context
+from pica_core.gl import create_context, is_software
 from pica_protocol import messages
 
 PREPARE_TIMEOUT_S = 5.0
@@ -117,6 +117,8 @@ class Viewer(Closing):
             else:
                 context, size, self.surface = window.context, window.size_px, window.surface
             self._renderer = Renderer(context, size, RENDER)
+            is_slow = is_software(self._renderer.gl_renderer)
+            self._period_s = 1 / (options.max_fps or (SOFTWARE_FPS if is_slow else DISPLAY_FPS))
             status = CallMonitor(receiver).status if receiver is not None else None
             has_pointer = window is not None
             self._panels = CallSurface(self._meter, status, has_pointer=has_pointer)
@@ -161,7 +163,7 @@ class Viewer(Closing):
         self, seconds: float | None = None, should_stop: Callable[[], bool] = lambda: False
     ) -> None:
         """Draw until the time is over, `should_stop` says so, or the user closes the window."""
-        period_s = 1 / self.options.max_fps
+        period_s = self._period_s
         begin_s = next_s = self._clock()
         while not should_stop():
             now = self._clock()
@@ -346,7 +348,7 @@ class Viewer(Closing):
     def _plan(self, now: float) -> tuple[CallScene, Plan]:
         scene = self._presenter.arrange(now, self._renderer.size, self.state, self._panels.free)
         self.state.orbit = scene.limits.clamped(self.state.orbit)
-        return scene, self._presenter.decide(scene, (scene.camera,), self.options.budget_s)
+        return scene, self._presenter.decide(scene, (scene.camera,), BUDGET_SHARE * self._period_s)
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
