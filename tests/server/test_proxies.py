@@ -4,12 +4,10 @@ import asyncio
 
 import pytest
 from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed
+from websockets.typing import Subprotocol
 
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.client_session import ClientSession
-from pica_protocol.session import State
-from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
+from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.limits import address_group, client_of, networks
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -126,42 +124,22 @@ def test_a_relay_for_others_tells_them_that_it_lives_and_a_page_on_its_machine_n
     call()
 
 
-async def close_code(forwarded: str | None) -> int | None:
-    """Join through a proxy that says so, and return how the relay ends it; None: we are in."""
-    headers = {} if forwarded is None else {"X-Forwarded-For": forwarded}
-    async with connect(
-        "ws://127.0.0.1:8765",
-        subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
-        proxy=None,
-        compression=None,
-        additional_headers=headers,
-    ) as websocket:
-        session = ClientSession(room="lobby", name="Ada", now=0.0)
-        for data in session.messages_to_send(now=0.0):
-            await websocket.send(data)
-        while session.state is not State.JOINED:
-            try:
-                session.receive_data(await websocket.recv(), now=0.0)
-            except ConnectionClosed:
-                return websocket.close_code
-        return None
-
-
-def test_limits_of_an_address_are_those_of_the_client_behind_a_trusted_proxy() -> None:
-    limits = LimitsConfig(connections_per_address=1)
-
-    @in_virtual_time
-    async def call(proxies: tuple[str, ...], expected: list[int | None]) -> None:
-        config = RelayConfig(limits=limits, trusted_proxies=proxies)
-        async with Relay(config) as relay:
-            hub = relay.hub
-            held = hub.connect(0.0, "203.0.113.9")
-            codes = [await close_code(f"203.0.113.{i}") for i in (9, 10)]
-            assert codes == expected
-            hub.disconnect(held, 1006, "", 0.0)
-
-    call((), [None, None])  # everybody is this machine, which has no limit
-    call(("127.0.0.1",), [4010, None])
+@pytest.mark.parametrize(("proxies", "address"), [((), ""), (("127.0.0.1",), "203.0.113.9")])
+@in_virtual_time
+async def test_a_connection_belongs_to_the_client_behind_a_trusted_proxy(
+    proxies: tuple[str, ...], address: str
+) -> None:
+    async with (
+        Relay(RelayConfig(trusted_proxies=proxies)) as relay,
+        connect(
+            "ws://127.0.0.1:8765",
+            subprotocols=[Subprotocol(SUBPROTOCOL)],
+            proxy=None,
+            additional_headers={"X-Forwarded-For": "203.0.113.9"},
+        ),
+    ):
+        (connection,) = relay.hub.connections.by_peer.values()
+        assert connection.address == address
 
 
 @pytest.mark.parametrize(

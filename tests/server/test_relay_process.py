@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -140,18 +139,6 @@ def test_with_few_descriptors_it_goes_on(tls: bool, tmp_path: Path) -> None:
     relay.terminate()
     relay.communicate(timeout=30)
     assert relay.returncode == 0
-
-
-def test_a_relay_answers_health_checks_and_shows_its_numbers() -> None:
-    with running_relay() as (_, url):
-        for path in ("healthz", "readyz"):
-            with urllib.request.urlopen(f"http{url[2:]}/{path}") as reply:
-                assert (reply.status, reply.read()) == (200, b"ok\n")
-        with urllib.request.urlopen(f"http{url[2:]}/metrics") as reply:
-            assert reply.headers.get_all("Content-Type") == [
-                "text/plain; version=0.0.4; charset=utf-8"
-            ]
-            assert b"pica_open_connections 0.0\n" in reply.read()
 
 
 @pytest.mark.parametrize(

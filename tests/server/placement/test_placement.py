@@ -168,14 +168,6 @@ async def ask(relay: Relay, room: str = "lobby", wait_s: float = 0.05) -> None:
 
 
 @in_virtual_time
-async def test_a_room_goes_to_the_relay_that_is_asked_if_none_has_less_to_do() -> None:
-    async with Cluster() as cluster:
-        a, b = await cluster.two()
-        await ask(a)
-        assert (list(a.rooms), list(b.rooms)) == (["lobby"], [])
-
-
-@in_virtual_time
 async def test_a_room_goes_to_the_relay_with_the_fewest_connections() -> None:
     async with Cluster() as cluster:
         a, b = await cluster.two(a=5, b=3)

@@ -1,7 +1,5 @@
 """Sending everybody away: in which order, what they are told, and what still reaches them."""
 
-import asyncio
-
 import pytest
 
 from helpers.members import Member
@@ -20,7 +18,7 @@ from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from pica_server.room.hub import Hub
 from simnet.clock import current_network, in_virtual_time
-from simnet.peers import now, open_websocket, peer_in_room
+from simnet.peers import now, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -126,18 +124,3 @@ async def test_who_does_not_go_is_cut_at_the_end_of_the_drain() -> None:
             assert relay.hub.num_connections == 0
             bob.websocket.transport.abort()
         assert ada.told(Closed)
-
-
-@in_virtual_time
-async def test_a_draining_relay_answers_but_is_not_ready() -> None:
-    config = RelayConfig(drain_s=10)
-    async with Relay(config) as relay, peer_in_room("ws://train:8765", "Ada") as ada:
-        current_network().cut("train")
-        draining = asyncio.create_task(relay.drain())
-        await asyncio.sleep(1)
-        async with open_websocket(URL) as websocket:
-            bye = decode_message(bytes(await websocket.recv()))
-            assert isinstance(bye, Bye)
-            assert bye.code == CloseCode.GOING_AWAY
-        await draining
-        ada.websocket.transport.abort()

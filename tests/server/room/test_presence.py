@@ -20,7 +20,7 @@ from pica_protocol.messages import (
     UpdateMetadata,
 )
 from pica_protocol.session import State
-from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.room.hub import Hub
 from pica_server.tokens import Admission
 
@@ -294,13 +294,3 @@ def test_a_slow_reader_that_was_closed_may_come_back_to_its_place() -> None:
     assert bob.closed_code == CloseCode.TOO_SLOW
     assert control(ada.listen(now=110.0)) == [PeerAway(peer_id=bob.peer_id)]
     assert come_back(hub, bob.session, now=111.0, name="Bob").peer_id == bob.peer_id
-
-
-def test_places_that_are_kept_are_no_more_than_the_joins_that_the_relay_takes() -> None:
-    limits = LimitsConfig(joins_per_s=10, joins_burst=20)
-    hub, _ = hub_with(config=RelayConfig(limits=limits))
-    for i in range(3000):
-        member = Member(hub, "x", room=f"r{i % 500}", now=i / 100, resumable=True)
-        member.lose_connection(now=i / 100)
-        hub.handle_timer(now=i / 100)
-        assert hub.num_rooms <= 20 + 10 * 10 + 1
