@@ -136,6 +136,7 @@ class Relay:
         )
         self._pages = StatusPages(self.hub, config, self.store, admin_room)
         self._watching: asyncio.TimerHandle | None = None
+        self._keeping: asyncio.Task[None] | None = None
 
     @property
     def url(self) -> str:
@@ -192,6 +193,8 @@ class Relay:
                 await self.__aexit__(None, None, None)
                 raise
         self._watch_later()
+        if self.certificate is not None:
+            self._keeping = asyncio.create_task(self.certificate.keep_fresh())
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -210,8 +213,9 @@ class Relay:
         if self.store is not None:
             self.store.close()
         self._pump.stop()
-        if self._watching is not None:
-            self._watching.cancel()
+        for watching in (self._watching, self._keeping):
+            if watching is not None:
+                watching.cancel()
 
     def _answer(
         self, websocket: ServerConnection, request: Request

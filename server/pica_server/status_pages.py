@@ -52,10 +52,11 @@ class StatusPages:
             authorization: The header of that name; ``/rooms`` needs an admin's token in it.
             is_local: Whether this machine asks; some pages are for it only.
         """
+        note = "NATS lost, new rooms are local" if self._has_lost_nats else ""
         match path:
             case "/healthz":
                 # Lost NATS is no reason to start it again: its rooms go on.
-                return _verdict("", self._placement_trouble)
+                return _verdict("", note)
             case "/readyz":
                 if self._hub.connections.is_draining:
                     return _verdict("draining")
@@ -63,7 +64,7 @@ class StatusPages:
                     page = _verdict("late, no new peers are admitted")
                     return replace(page, headers={"Retry-After": f"{CALM_S:.0f}"})
                 is_full = self._hub.num_connections >= self._config.max_connections
-                return _verdict("full" if is_full else "", self._placement_trouble)
+                return _verdict("full" if is_full else "", note)
             case "/metrics" if is_local:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
             case "/rooms":
@@ -100,23 +101,19 @@ class StatusPages:
         return Page(HTTPStatus.OK, f"{text}\n", "application/json", headers)
 
     @property
-    def _placement_trouble(self) -> str:
+    def _has_lost_nats(self) -> bool:
         placement = self._hub.membership.placement
-        return "" if placement is None or placement.is_up else "NATS lost, new rooms are local"
+        return placement is not None and not placement.is_up
 
     def _metrics(self, now: float) -> str:
         hub = self._hub
-        placement = hub.membership.placement
-        num_relays = 0 if placement is None else placement.num_relays
-        is_up = placement is not None and placement.is_up
         store = self._store
         used_bytes, num_free_bytes = (store.used_bytes, store.num_free_bytes) if store else (0, 0)
         gauges = {
             "avatars": store.num_avatars if store else 0,
             "avatar_store_bytes": used_bytes,
             "avatar_store_free_bytes": num_free_bytes,
-            "placement_up": is_up,
-            "placement_relays": num_relays,
+            "nats_lost": self._has_lost_nats,
             "open_connections": hub.num_connections,
             "rooms": hub.num_rooms,
             "draining": hub.connections.is_draining,

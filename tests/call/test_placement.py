@@ -117,7 +117,7 @@ def test_no_call_ends_when_nats_is_killed_and_comes_back_empty(
             await asyncio.to_thread(nats.start)
             back_s = time.monotonic()
             for each in relays:
-                await until_number(each, "placement_up", 1)
+                await until_number(each, "nats_lost", 0)
             report(f"all relays place rooms {time.monotonic() - back_s:.2f} s after NATS is back")
             await asyncio.sleep(1.0)
             assert all(map(are_together, made))

@@ -8,8 +8,8 @@ import signal
 import stat
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,15 +72,8 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
     with (
         _signals_to_stop() as signals,
         logging_to(sys.stderr, options.log, time.monotonic),
-        ExitStack() as stack,
     ):
-        server = Relay(options.config, processor_s=time.process_time)
-        if not await _unless(signals.get(), server.__aenter__()):
-            return {"url": "", **server.stats()}
-        try:
-            if server.certificate is not None:
-                keeping = asyncio.create_task(server.certificate.keep_fresh())
-                stack.callback(keeping.cancel)
+        async with Relay(options.config, processor_s=time.process_time) as server:
             url = server.url
             _spare_the_collector()
             with _ready_file(options.ready_file, url):
@@ -90,12 +83,14 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
             if first == signal.SIGTERM and options.config.drain_s > 0:
                 num_open = server.hub.num_connections
                 _say("draining", f"draining, {num_open} connections to send away", open=num_open)
-                await _unless(signals.get(), server.drain())
+                tasks = [asyncio.create_task(each) for each in (server.drain(), signals.get())]
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
                 server.cut()
             num_open = server.hub.num_connections
             _say("stopping", f"stopping, {num_open} connections to close", open=num_open)
-        finally:
-            await server.__aexit__(None, None, None)
         stats = server.stats()
         _say(
             "stopped",
@@ -124,20 +119,6 @@ def _spare_the_collector() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000)  # a turn of a full core makes more objects than the usual 700
-
-
-async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> bool:
-    """Do some work until it is done, or something else happens; return whether it is."""
-    tasks = [asyncio.ensure_future(interruption), asyncio.ensure_future(work)]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-        return tasks[1] in done
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 @contextmanager

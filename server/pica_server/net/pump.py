@@ -114,7 +114,7 @@ class Pump:
         try:
             if websocket.subprotocol is None:
                 reason = f"this relay speaks {SUBPROTOCOL}"
-                hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
+                hub.connections.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
             self.send_all()
             websocket.hand_to(partial(self._on_messages, connection))
             while True:  # what does not come the short way
@@ -159,7 +159,7 @@ class Pump:
             hub.receive(connection, messages, now)
         except Exception:  # a fault of ours; it must not cost anybody else anything
             _logger.exception("connection failed", extra={"connection": connection.serial})
-            hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
+            hub.connections.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
         self.after_turn_soon()
 
     def note_work(self, busy_ratio: float) -> None:

@@ -198,12 +198,6 @@ class RoomPlacement:
         await asyncio.gather(*tasks, return_exceptions=True)
         await self._bucket.close()
 
-    @property
-    def num_relays(self) -> int:
-        """How many relays are alive, this one among them."""
-        now = self._now()
-        return sum(now - each.heard_s < LEASE_S for each in self._relays.values())
-
     def ask(self, room: str) -> None:
         """Find the relay of a room that is not here."""
         place = self._place(room)

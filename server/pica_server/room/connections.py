@@ -12,7 +12,7 @@ last turn of the event loop it then forwards the newest alone, and refuses newco
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import FrameSpan
 from pica_protocol.messages import Message, StreamMuted, Whisper
 from pica_protocol.session import Closed, ServerSession
-from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.limits import TokenBucket
 from pica_server.room.outbox import MAX_FRESH, Outbox
 from pica_server.room.room import EVERY_MOST, Room, Stream
@@ -81,12 +81,10 @@ class Connection:
     serial: int
     session: ServerSession
     outbox: Outbox
-    limits: InitVar[LimitsConfig]
     address: str
-    now: InitVar[float]
     peer_id: str
-    bytes_in: TokenBucket = field(init=False)
-    told: TokenBucket = field(init=False)
+    bytes_in: TokenBucket
+    told: TokenBucket
     """What it has the relay tell others, see `TOLD_PER_S`."""
     has_joined: bool = False
     room: Room | None = None
@@ -103,14 +101,6 @@ class Connection:
     """Whether its token has the grant ``admin``."""
     peer: Any = None
     """What the shell keeps of it."""
-
-    def __post_init__(self, limits: LimitsConfig, now: float) -> None:
-        # What piled up while the relay or the way to it stood still was sent at a good rate: who
-        # has been here for so long may send that much at once. Who has just come has saved nothing.
-        self.bytes_in = TokenBucket(
-            limits.bytes_per_s, limits.bytes_per_s * limits.burst_s, now, limits.bytes_per_s
-        )
-        self.told = TokenBucket(TOLD_PER_S, TOLD_AT_ONCE, now)
 
     @property
     def closed(self) -> Closed | None:
@@ -153,7 +143,12 @@ class Connections:
         outbox = Outbox(self.stats.dropped)
         serial = next(self._serials)
         peer_id = f"p{serial}"
-        connection = Connection(serial, session, outbox, limits, address, now, peer_id)
+        # What piled up while the relay or the way to it stood still was sent at a good rate: who
+        # has been here for so long may send that much at once. Who has just come has saved nothing.
+        rate = limits.bytes_per_s
+        bytes_in = TokenBucket(rate, rate * limits.burst_s, now, level=rate)
+        told = TokenBucket(TOLD_PER_S, TOLD_AT_ONCE, now)
+        connection = Connection(serial, session, outbox, address, peer_id, bytes_in, told)
         self.stats.connections += 1
         is_full = len(self.by_peer) >= config.max_connections
         self.by_peer[peer_id] = connection

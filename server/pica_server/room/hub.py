@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final
 
-from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import MEDIA_PREFIX, scan_frames
 from pica_protocol.messages import (
     BarIdentity,
@@ -121,10 +121,6 @@ class Hub:
         """Take note that a websocket has ended."""
         for event in connection.session.receive_close(code, reason, now):
             self._handle(connection, event, now)
-
-    def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
-        """End a connection from this side; one that is lost, for good."""
-        self.membership.close(connection, code, reason, now)
 
     def drain(self, now: float) -> None:
         """Begin to send everybody away: who has no room at once, the rooms one after the other.

@@ -51,10 +51,6 @@ class Placement(Protocol):
 
     is_up: bool
 
-    @property
-    def num_relays(self) -> int:
-        """How many relays are alive."""
-
     def ask(self, room: str) -> None:
         """Find the relay of a room that is not here."""
 

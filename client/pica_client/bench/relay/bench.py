@@ -99,7 +99,6 @@ def measure(config: RelayBenchConfig, url: str, pid: int, name: str) -> dict[str
         "sent_per_s": round(tally.sent / config.seconds, 1),
         "forward_ms": forward,
         "missing": tally.sent * (config.peers - 1) - len(tally.delays_us),
-        "blocked": tally.blocked,
         "relay_cpu_s_per_1000": round(cpu_ratio / max(delivered_per_s, 1e-3) * 1000, 5),
         "relay_cpu_ratio": round(cpu_ratio, 3),
         "bytes_per_connection": round(max(held_bytes - idle_bytes, 0) / num_peers),

@@ -65,15 +65,13 @@ class Tally:
 
     def __init__(self) -> None:
         self.begin_us = self.end_us = self.now_us = 0
-        self.sent = self.blocked = 0
+        self.sent = 0
         self.delays_us = array("q")
         self.codes: Counter[int] = Counter()
 
-    def count_sent(self, captured_us: int, *, is_sent: bool) -> None:
-        """Count a frame that was sent, or that the network did not take."""
-        if self.begin_us <= captured_us < self.end_us:
-            self.sent += is_sent
-            self.blocked += not is_sent
+    def count_sent(self, captured_us: int) -> None:
+        """Count a frame that was sent."""
+        self.sent += self.begin_us <= captured_us < self.end_us
 
     def count_received(self, captured_us: int) -> None:
         """Count a frame as of the last read."""
@@ -126,8 +124,8 @@ class SwarmPeer:
         self._sequence = (self._sequence + 1) & 0xFFFF
         if self._unsent:
             self._write(b"")
-        is_sent = not self._unsent and self._write(data, may_drop=True)
-        self._tally.count_sent(now_us, is_sent=is_sent)
+        if not self._unsent and self._write(data, may_drop=True):
+            self._tally.count_sent(now_us)
 
     def on_readable(self, now: float) -> None:
         """Read what has come."""
