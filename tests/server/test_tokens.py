@@ -179,18 +179,6 @@ def test_a_grant_that_is_not_there_is_not_granted(grant: str) -> None:
     }[grant]
 
 
-@given(
-    st.text("abcdefgh.-_019", max_size=60)
-    | st.binary(max_size=40).map(
-        lambda data: ".".join([base64.urlsafe_b64encode(data).rstrip(b"=").decode()] * 3)
-    )
-)
-@settings(max_examples=300)
-def test_any_text_is_a_token_or_an_admission_error(text: str) -> None:
-    with pytest.raises(RefusalError):
-        admit(KEYS, join(text), now=NOW)
-
-
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),

@@ -26,7 +26,7 @@ import logging
 import secrets
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Final, TypeVar
 
 from pica_protocol.limits import check_url
@@ -42,9 +42,6 @@ LATE_S: Final = 0.7
 LEASE_S: Final = 2.0
 """A relay that has been silent for so long is dead (chosen: participants are to be back in their
 rooms within five seconds)."""
-FRESH_S: Final = 2.0
-"""A room that was placed on a relay counts as one of its connections for so long, beside those of
-its beats: its participants are on their way (chosen)."""
 RESERVED_S: Final = 10.0
 """A claim without participants is kept for so long: they are being redirected (chosen)."""
 REWRITE_S: Final = TTL_S / 3
@@ -96,13 +93,9 @@ _Record = TypeVar("_Record", Beat, Claim)
 class _Relay:
     beat: Beat
     heard_s: float
-    placed_s: list[float] = field(default_factory=list)
-    """When this relay placed rooms on it lately."""
-
-    def load(self, now: float) -> int:
-        """Return how many connections it has, or will have soon."""
-        self.placed_s = [at_s for at_s in self.placed_s if now - at_s < FRESH_S]
-        return self.beat.num_connections + len(self.placed_s)
+    load: int = 0
+    """Connections of its last beat, and one for each room that this relay has placed on it since:
+    participants are on their way."""
 
 
 @dataclass(eq=False, slots=True)
@@ -219,10 +212,7 @@ class RoomPlacement:
     def refuge(self) -> str:
         """Return the address of another relay for the peers of a room, "" if there is none."""
         target = self._choose(self._relays.keys() - {self.me}) if self.is_up else None
-        if target is None:
-            return ""
-        target.placed_s.append(self._now())
-        return target.beat.url
+        return "" if target is None else target.beat.url
 
     async def renew(self) -> None:
         """Write a beat over the last one; if that is missing, look at all rooms again."""
@@ -313,7 +303,7 @@ class RoomPlacement:
 
     def _hear(self, beat: Beat, now: float) -> None:
         relay = self._relays.setdefault(beat.relay, _Relay(beat, now))
-        relay.beat, relay.heard_s = beat, now
+        relay.beat, relay.heard_s, relay.load = beat, now, beat.num_connections
 
     def _look(self, place: _Place) -> None:
         """Have a room looked at, again if it is being looked at."""
@@ -354,7 +344,6 @@ class RoomPlacement:
                 wanted = place.own
             elif place.has_joins:
                 target = self._choose(self._relays) or self._relays[self.me]
-                target.placed_s.append(now)
                 wanted = self._new_claim(target.beat.relay, 0)
         elif claim.relay == self.me:
             if place.has_joins:
@@ -383,11 +372,15 @@ class RoomPlacement:
                 self._counts[what] += 1
 
     def _choose(self, names: Iterable[str]) -> _Relay | None:
-        """Return the live relay with the fewest connections that takes rooms, or None."""
+        """Place a room on the live relay with the lowest load that takes rooms; return it, or None
+        if there is none."""
         now = self._now()
         relays = [self._relays[name] for name in sorted(names, key=lambda n: (n != self.me, n))]
         takers = [r for r in relays if r.beat.is_open and now - r.heard_s < LATE_S]
-        return min(takers, key=lambda relay: relay.load(now), default=None)
+        target = min(takers, key=lambda relay: relay.load, default=None)
+        if target is not None:
+            target.load += 1
+        return target
 
     def _let_in(self, place: _Place) -> None:
         place.has_joins, place.reserved_until_s = False, self._now() + RESERVED_S

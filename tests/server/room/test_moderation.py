@@ -79,13 +79,6 @@ def test_who_has_no_grant_is_closed_and_nothing_happens(asked: Moderation) -> No
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="removed")]
 
 
-def test_without_tokens_nobody_moderates() -> None:
-    hub = Hub(RelayConfig())
-    ada, bob = Member(hub, "Ada"), Member(hub, "Bob")
-    ask(ada, RemovePeer(peer_id=bob.peer_id), now=1.0)
-    assert (ada.closed_code, bob.closed_code) == (CloseCode.FORBIDDEN, None)
-
-
 def test_a_grant_reaches_no_other_room_and_nobody_unknown() -> None:
     hub, olga, (ada,) = room_with_admin("Ada")
     bob = Member(hub, "Bob", token="bob", room="elsewhere")

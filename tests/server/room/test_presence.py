@@ -82,17 +82,6 @@ def test_who_does_not_come_back_has_left_when_the_grace_is_over() -> None:
     assert hub.stats.resumes == {"away": 1, "unknown": 1}
 
 
-def test_an_empty_room_is_kept_for_those_who_may_come_back_and_then_forgotten() -> None:
-    hub, (ada,) = hub_with("Ada", resumable=True)
-    former = ada.lose_connection(now=1.0)
-    assert (hub.num_connections, hub.num_rooms) == (0, 1)
-    again = come_back(hub, former, now=5.0)
-    assert again.peer_id == ada.peer_id
-    again.lose_connection(now=6.0)
-    hub.handle_timer(now=16.0)
-    assert hub.num_rooms == 0
-
-
 def test_a_secret_is_good_once_and_another_one_comes_with_each_return() -> None:
     hub, (ada, _bob) = hub_with("Ada", "Bob", resumable=True)
     first = ada.lose_connection(now=1.0)
