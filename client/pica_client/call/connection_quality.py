@@ -33,15 +33,6 @@ connection is poor (chosen: simulated links on which a face stands still for a q
 or more have 0.12 to 0.6, those on which it hardly does 0.05 at most, busy machines 0.01)."""
 
 
-def quality_between(before: PlayoutReport, after: PlayoutReport, seconds: float) -> Quality:
-    """What a stream was like between two moments so far apart; unknown when nothing came, or
-    too little time has passed."""
-    if after.received <= before.received or seconds < LEAST_WINDOW_S:
-        return "unknown"
-    is_poor = after.missed_s - before.missed_s >= POOR_MISSED_RATIO * seconds
-    return "poor" if is_poor else "good"
-
-
 class QualityMeter:
     """Rates one stream; keeps a bounded window of what it was told."""
 
@@ -71,8 +62,10 @@ class QualityMeter:
         while len(self._samples) > 2 and now - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
         begin_s, before = self._samples[0]
-        found = quality_between(before, report, now - begin_s)
-        if found == "unknown" or found == self.level:
+        is_poor = report.missed_s - before.missed_s >= POOR_MISSED_RATIO * (now - begin_s)
+        found: Quality = "poor" if is_poor else "good"
+        is_rated = report.received > before.received and now - begin_s >= LEAST_WINDOW_S
+        if not is_rated or found == self.level:
             self._differs_since_s = None  # a stream that is silent is as good as it was
             return self.level
         if self._differs_since_s is None:

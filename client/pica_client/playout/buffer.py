@@ -22,7 +22,7 @@ buffer: a face that comes by as much later as its images lie farther apart than 
 with the same image. So its delay is shorter by that much, and it shows the newest frame at most,
 never a guess. When the delay changes, the display's time runs a little faster or slower. When the
 path of the face changes (a frame comes after the face had to rest without it), what is shown goes
-over to the new path within `BLEND_S`.
+over to the new path within `motion.BLEND_S`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,6 @@ frames)."""
 CEILING_S = 0.2
 """Longest delay (chosen: with 50 ms of network still above the 150 ms of G.114, so worse jitter is
 better concealed than waited for)."""
-BLEND_S = 0.15
-"""Time in which the face goes over to its path after it had to leave it (chosen: a blink)."""
 MAX_LAG_S = 0.03
 """Most that a face whose frames are late lets its voice go ahead (chosen: with a step of the
 display below the 45 ms of ITU-R BT.1359)."""
@@ -106,7 +104,7 @@ class Playout:
         self._timeline = Timeline()
         self._interval = FrameInterval()
         self._media = Playhead()
-        self._correction = Correction(BLEND_S)
+        self._correction = Correction()
         self._shown: LatentSample | None = None  # the last face of `sample_at`
         self._end_s = math.inf  # where it had stopped to move, on the time line
         self._is_path_new = False

@@ -31,6 +31,8 @@ MAX_FRAMES = 64
 MAX_GAP_S = 0.25
 """Longest time on the way between two frames; a longer gap is waited out first (chosen: 4 fps are
 still moved evenly)."""
+BLEND_S = 0.15
+"""Time in which the face goes over to its path after it had to leave it (chosen: a blink)."""
 UNSEEN = 1e-5
 """A difference below this, in any unit, is none."""
 
@@ -76,27 +78,25 @@ def _face(flat: FloatArray, *, is_still: bool = False) -> LatentSample:
 
 
 class Correction:
-    """Takes what is shown back to where it should be, within `seconds`.
+    """Takes what is shown back to where it should be, within `BLEND_S`.
 
     What is shown is the true face plus an offset, which shrinks evenly to nothing; the true face
     moves on undamped below it.
     """
 
-    def __init__(self, seconds: float) -> None:
-        """A difference is gone in so many seconds; 0 shows it at once."""
-        self._seconds = seconds
+    def __init__(self) -> None:
         self._left_s = 0.0
         self._offset: FloatArray | None = None
 
     def aim(self, shown: LatentSample, true: LatentSample) -> None:
         """Begin to go from what is shown to what should have been at the same moment."""
-        if self._seconds <= 0 or (shown is true and self._offset is None):
+        if shown is true and self._offset is None:
             return
         offset = _flat(shown) - _flat(true)
         if self._offset is not None and np.abs(offset - self._offset).max() < UNSEEN:
             return  # nothing new: what is under way goes on
         self._offset = offset if np.abs(offset).max() >= UNSEEN else None
-        self._left_s = self._seconds
+        self._left_s = BLEND_S
 
     def corrected(self, true: LatentSample, elapsed_s: float) -> LatentSample:
         """The face to show instead of the true one, some time after the last."""

@@ -114,7 +114,7 @@ class SenderClock:
             self._origin_us, self._number, ahead = frame.captured_us, frame.sequence, 0
         elif self._begins(frame, ahead, now):
             self._origin_us, self._origin_s = frame.captured_us, now - self.transit.fastest_s
-            self.transit.forget()
+            self.transit = Transit(self.transit.fastest_s, quantile=self._quantile)
             ahead = RESTART_FRAMES + 1
         elif ahead <= 0:
             return None
@@ -154,11 +154,6 @@ class Transit:
         self._ordered: list[float] = []  # their transits
         self._delays: list[float] = []  # the same of those that came alone
         self._last = (-math.inf, -math.inf)  # arrived_s, media_s
-
-    def forget(self) -> None:
-        """Begin again at the fastest transit: what was late by another clock says nothing."""
-        for kept in (self._arrivals, self._ordered, self._delays):
-            kept.clear()
 
     def receive(self, media_s: float, arrived_s: float) -> None:
         """Take a frame into account."""

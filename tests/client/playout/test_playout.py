@@ -26,7 +26,8 @@ from helpers.playout_trial import (
     value_at,
     value_of,
 )
-from pica_client.playout.buffer import BLEND_S, CEILING_S, MAX_LAG_S, Playout
+from pica_client.playout.buffer import CEILING_S, MAX_LAG_S, Playout
+from pica_client.playout.motion import BLEND_S
 
 pytestmark = pytest.mark.unit
 

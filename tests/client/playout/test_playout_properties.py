@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.playout_trial import FAR_CLOCK_US, arrive, face, value_of
-from pica_client.playout import buffer
+from pica_client.playout import motion
 from pica_client.playout.buffer import Playout
 from pica_client.playout.motion import MAX_FRAMES, MAX_GAP_S
 
@@ -34,14 +34,14 @@ def value(index: int) -> float:
 steps = st.tuples(st.integers(1, 8), st.floats(0, 0.3), st.integers(1, 2), st.integers(0, 6))
 
 
+@mock.patch.object(motion, "BLEND_S", 0.0)
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(st.lists(steps, max_size=60))
 def test_a_face_moves_evenly_between_the_frames_that_came_and_never_back(
     stream: list[tuple[int, float, int, int]],
 ) -> None:
     """Frames some of which are left out, late, or come twice, and refreshes between them."""
-    with mock.patch.object(buffer, "BLEND_S", 0.0):
-        playout = Playout()
+    playout = Playout()
     now, index, last_us, known = 0.0, FIRST, 0, list[int]()
     for num_ahead, late_s, times, refreshes in stream:
         index += num_ahead
