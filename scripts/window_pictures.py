@@ -45,7 +45,6 @@ class Desk:
 
     def __init__(self, size: tuple[int, int], scale: float, folder: Path) -> None:
         self.notes = folder / "notes.json"
-        self._size = size
         read, write = os.pipe()
         screen = f"{size[0]}x{size[1]}x24"
         self._server = subprocess.Popen(
@@ -69,17 +68,13 @@ class Desk:
     def click(self, label: str) -> None:
         """Click on what is labelled so: move there, see that it stays, press, let go.
 
-        Each step waits for frames that show it, so a busy machine only takes longer. What is not
-        in sight may be hidden until the pointer moves, so it moves.
+        Each step waits for frames that show it, so a busy machine only takes longer.
         """
-        end, away = time.monotonic() + PATIENCE_S, 0
+        end = time.monotonic() + PATIENCE_S
         while (place := self._find(label)) is None or not self._reaches(label, place):
             if time.monotonic() > end:
                 raise TimeoutError(f"nothing is labelled {label!r}; {self.seen()}")
-            if place is None:
-                away = 3 - away
-                self.point(self._size[0] / 2 + away, 0.6 * self._size[1])
-                self.wait_frames(1)
+            self.wait_frames(1)
         self._press()
 
     def type(self, label: str, text: str) -> None:

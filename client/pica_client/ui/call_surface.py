@@ -1,7 +1,6 @@
 """The surface of a call: what there is to show is collected into a `CallView`, panels draw it.
 
-Keeps what lasts longer than a frame: the figures, which change twice a second, notices, and
-whether the control bar is to be seen.
+Keeps what lasts longer than a frame: the figures, which change twice a second, and notices.
 
 A name stands on the chest of its owner, no wider than the shoulders and never over a face, neither
 the owner's nor another's. Who cannot be seen has no name on the picture.
@@ -56,8 +55,6 @@ PANELS: tuple[Panel, ...] = (
 """All panels, in the order in which they are drawn."""
 STATUS_PERIOD_S = 0.5
 """How often figures change: readable."""
-BAR_S = 4.0
-"""How long the control bar stays after the pointer has moved (chosen: as video players do)."""
 FACE_LOW_M, FACE_HIGH_M = (-0.085, -0.125, 0.04), (0.085, 0.13, 0.04)
 """Opposite corners of what no name may cover: chin to hairline, ear to ear."""
 HALF_WIDTH_M = 0.175
@@ -102,8 +99,6 @@ class CallSurface:
         self._asked_s = -math.inf
         self._figures: tuple[tuple[str, str], ...] = ()
         self._has_pointer = has_pointer
-        self._pointer: tuple[float, float] | None = None
-        self._pointer_s: float | None = None
         self._board = NoticeBoard()
 
     def notice(self, text: str, now: float) -> None:
@@ -132,7 +127,6 @@ class CallSurface:
             people=self._people(now, scene, presenter),
             status=self.status,
             notices=self._board.shown(now),
-            shows_bar=self._shows_bar(now, state),
             has_pointer=self._has_pointer,
             own=own,
             sound=sound,
@@ -140,17 +134,6 @@ class CallSurface:
         )
         self.free = free_shares(state, view)
         return [each for panel in PANELS for each in panel(state, view)]
-
-    def _shows_bar(self, now: float, state: ViewState) -> bool:
-        """Return True for a while after the pointer has moved, and once when a call begins."""
-        io = imgui.get_io()
-        at = (io.mouse_pos.x, io.mouse_pos.y) if imgui.is_mouse_pos_valid() else None
-        if at is not None and (at != self._pointer or imgui.is_any_mouse_down()):
-            self._has_pointer, self._pointer, self._pointer_s = True, at, now
-        if self._pointer_s is None:
-            self._pointer_s = now
-        is_recent = now - self._pointer_s < BAR_S
-        return self._has_pointer and (is_recent or state.side != "none" or io.want_capture_mouse)
 
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter

@@ -93,10 +93,8 @@ class CallView:
     status: CallStatus = field(default_factory=CallStatus)
     notices: tuple[Notice, ...] = ()
     """What was just done, and what just happened, the oldest first."""
-    shows_bar: bool = True
-    """The control bar is to be seen: the pointer moved a moment ago."""
     has_pointer: bool = True
-    """There is a window with a pointer."""
+    """There is a window with a pointer, and so a control bar."""
     own: OwnFaceView = field(default_factory=OwnFaceView)
     sound: SoundState | None = None
     """How sound stands; None: there is none."""

@@ -266,8 +266,8 @@ def own_face(state: ViewState, call: CallView) -> list[Request]:
 
 
 def control_bar(state: ViewState, call: CallView) -> list[Request]:
-    """Draw the bar at the lower edge while it is to be seen."""
-    if not call.shows_bar or state.asks_to_leave:
+    """Draw the bar at the lower edge."""
+    if not call.has_pointer or state.asks_to_leave:
         return []
     groups = _groups(state)
     gap = px(GAP_PT)

@@ -7,7 +7,6 @@ one. Where a form asks, it comes again with the reason when the relay refuses.
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
@@ -196,13 +195,9 @@ def stay(
     state.enter()
     is_stopping = threading.Event()
     with on_stop_signal(is_stopping.set), ExitStack() as stack:
-        pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")
-        stack.callback(pool.shutdown, wait=False)
-        opening = pool.submit(open_own, options, state, link, library)
-        stack.callback(opening.add_done_callback, _let_go)
-        if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
-            return None
-        own = opening.result()
+        own = open_own(options, state, link, library)
+        if own.face is not None:
+            stack.callback(own.face.close)
         fetcher = AvatarFetcher(library, lambda: receiver.link.url)
         stack.callback(fetcher.close)
         voice = sound if state.voice == "mic" else open_voice(state.voice)
@@ -306,12 +301,6 @@ def _show(
         "problems": [*problems, *failures],
         "received": received,
     }
-
-
-def _let_go(opening: Future[Outgoing]) -> None:
-    """Free a tracker's port once its stay is over."""
-    if opening.exception() is None and (face := opening.result().face) is not None:
-        face.close()
 
 
 def _path(text: str) -> Path | None:

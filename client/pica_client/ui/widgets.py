@@ -106,7 +106,6 @@ def apply_style(scale: float) -> None:
         (accent, "slider_grab_active nav_cursor text_link"),
         ((*INK[:3], 0.03), "table_row_bg_alt"),
         ((*accent[:3], 0.45), "text_selected_bg"),
-        ((0.0, 0.0, 0.0, 0.45), "modal_window_dim_bg"),
     )
     members: Any = imgui.Col_
     for colour, names in colours:
