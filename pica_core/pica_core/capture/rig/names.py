@@ -4,7 +4,7 @@ Names propose, movement decides: a shape that moves nothing drives nothing, and 
 meaning that move different vertices (Maya names them after their meshes) drive together.
 
 eyeBlink_L  Eye_Blink_Left  head.eyeBlinkLeft  EYEBLINKLEFT  A14_Eye_Blink_Left  -> eyeBlinkLeft
-eyeBlink.L  jawOpen.001 (Blender)                            -> eyeBlinkLeft, jawOpen
+eyeBlink.L  jawOpen.001 (Blender)  head_bs_jawOpen           -> eyeBlinkLeft, jawOpen
 browInnerUp_L + browInnerUp_R                                                    -> browInnerUp
 blink_l, blinkLeft, Fcl_EYE_Close_L (VRM, VRoid)   -> eyeBlinkLeft, where nothing fits better
 mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLeft and ...Right
@@ -78,11 +78,25 @@ def match_name(source: str) -> tuple[tuple[str, str], ...]:
     Returns:
         Nothing for a name that means nothing to us; two entries for one shape of both sides.
     """
-    *before, last = re.split(r"[.:|/]", re.sub(r"\.\d+$", "", source))
+    meant = _match(source)
+    first, *rest = re.split(r"[_\- ]+", source, maxsplit=1)
+    # Words before a name go, unless they are one: a corrective is named after two.
+    if meant or not rest or _match(first) or _near(_letters(rest[0])):
+        return meant
+    return match_name(rest[0])
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _match(source: str) -> tuple[tuple[str, str], ...]:
+    """What a name means as a whole, as `match_name`."""
+    *before, last = re.split(r"[.:|/]", re.sub(r"[._\- ]\d+$", "", source))
     if before and last.lower() in SIDES:
         last = f"{before[-1]}_{last}"
     last = re.sub(r"^[A-Za-z]?\d+[_\- ]+", "", last)
-    plain = re.sub(r"[^a-z0-9]", "", last.lower())
+    plain = _letters(last)
     if plain in _PLAIN:
         return ((_PLAIN[plain], ""),)
     if meant := _near(plain):
@@ -153,7 +167,8 @@ def map_names(
             continue
         chosen = by_kind[best]
         if best in ("whole", "near"):
-            chosen = _apart(sorted(chosen, key=lambda driver: bool(driver.half)), moved)
+            order = sorted(chosen, key=lambda each: (bool(each.half), not _match(each.source)))
+            chosen = _apart(order, moved)
         if best == "half":
             sides = {_side(driver.source): "" for driver in chosen}
             of_sides = [[d for d in chosen if _side(d.source) == side] for side in sorted(sides)]
@@ -196,7 +211,7 @@ def _side(name: str) -> str:
 
 
 def _kind(name: str, arkit: str, half: str) -> str:
-    if arkit.lower() not in (plain := re.sub(r"[^a-z0-9]", "", name.lower())) and _near(plain):
+    if arkit.lower() not in (plain := _letters(name)) and _near(plain):
         return "near"
     if half:
         return "both"

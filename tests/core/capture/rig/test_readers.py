@@ -39,10 +39,16 @@ def glb(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("mouthLeft", "mouthLeft"),
         ("cheekPuff_R", "cheekPuff"),
         ("tongueOut", "tongueOut"),
+        ("eyeBlink.L.001", "eyeBlinkLeft"),
+        ("jaw_open_02", "jawOpen"),
+        ("ARKit_eyeBlink_l", "eyeBlinkLeft"),
+        ("rig:head_blendShape1.BS head-jawOpen", "jawOpen"),
+        ("jawOpen_mouthClose", ""),
+        ("viseme_aa", ""),
     ],
 )
 def test_names_are_understood_in_the_ways_that_people_write_them(name: str, meaning: str) -> None:
-    assert match_name(name) == ((meaning, ""),)
+    assert match_name(name) == (((meaning, ""),) if meaning else ())
 
 
 def test_halves_join_one_shape_serves_both_sides_and_doubles_are_ignored() -> None:
@@ -68,6 +74,8 @@ def test_what_moves_decides_which_of_several_names_drives() -> None:
         "Fcl_EYE_Close_L": face,
         "mouthFunnel.001": face,
         "mouth_funnel": face,
+        "upper_mouthLeft": face,
+        "mouthLeft": face,
     }
     names = map_names(list(moved), moved=moved)
     driven = {arkit: [each.source for each in drivers] for arkit, drivers in names.drivers.items()}
@@ -75,8 +83,9 @@ def test_what_moves_decides_which_of_several_names_drives() -> None:
         "jawOpen": ["teeth_shapes.jawOpen", "head_shapes.jawOpen"],
         "eyeBlinkLeft": ["Fcl_EYE_Close_L"],
         "mouthFunnel": ["mouthFunnel.001"],
+        "mouthLeft": ["mouthLeft"],
     }
-    assert names.ignored == ("Fcl_MTH_A", "eyeBlink.L", "mouth_funnel")
+    assert names.ignored == ("Fcl_MTH_A", "eyeBlink.L", "mouth_funnel", "upper_mouthLeft")
 
 
 def test_a_table_goes_before_the_rules(tmp_path: Path) -> None:

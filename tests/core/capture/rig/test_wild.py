@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -192,11 +193,117 @@ def glasses(rig: WildRig) -> None:
     rig.document["meshes"][0]["primitives"].append(lens)
 
 
+def strips(rig: WildRig) -> None:
+    """The skin as one strip, in which triangles without area join the others; eyes as fans."""
+    skin, *eyes = rig.primitives[:3]
+    strip: list[int] = []
+    for a, b, c in rig.arrays[skin["indices"]].reshape(-1, 3).tolist():
+        strip += [strip[-1], a, a] if strip else [a]  # each begins at an odd place ...
+        strip += [c, b] if len(strip) % 2 == 0 else [b, c]  # ... or is turned round
+    skin |= {"mode": 5, "indices": rig.add(np.array(strip, "<u2").reshape(-1, 1))}
+    for eye in eyes:
+        corners = rig.arrays[eye["indices"]]
+        rig.primitives.remove(eye)
+        fans = [
+            {**eye, "mode": 6, "indices": rig.add(corners[k : k + 3])}
+            for k in range(0, len(corners), 3)
+        ]
+        rig.document["meshes"][0]["primitives"].extend(fans)
+        eye["mode"] = 0  # points draw nothing
+
+
+def glossy(rig: WildRig) -> None:
+    """The picture where converters of older materials leave it."""
+    material = rig.document["materials"][0]
+    picture_of = material.pop("pbrMetallicRoughness")["baseColorTexture"]
+    gloss = {"diffuseTexture": picture_of, "diffuseFactor": [1, 1, 1, 1]}
+    material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": gloss}
+
+
+def mesh_each(rig: WildRig, name: str) -> None:
+    """One mesh for each material, with vertices of its own and shapes called by a format."""
+    (mesh,) = rig.document["meshes"]
+    shapes, meshes = mesh["extras"]["targetNames"], []
+    for primitive in mesh["primitives"]:
+        part = rig.document["materials"][primitive["material"]]["name"]
+        used, index = np.unique(rig.arrays[primitive["indices"]], return_inverse=True)
+
+        def cut(attributes: dict[str, int], used: Array = used) -> dict[str, int]:
+            return {key: rig.add(rig.arrays[at][used]) for key, at in attributes.items()}
+
+        own = {
+            "attributes": cut(primitive["attributes"]),
+            "targets": [cut(target) for target in primitive["targets"]],
+            "indices": rig.add(index.astype("<u2").reshape(-1, 1)),
+        }
+        names = [name.format(part=part, shape=shape) for shape in shapes]
+        if part.startswith("eye"):
+            own["targets"], names = [], []
+        meshes.append({"primitives": [primitive | own], "extras": {"targetNames": names}})
+    (node,) = (node for node in rig.document["nodes"] if "mesh" in node)
+    places = [{**node, "mesh": number} for number in range(len(meshes))]
+    first = len(rig.document["nodes"])
+    roots = rig.document["scenes"][0]["nodes"]
+    del node["mesh"]
+    rig.document |= {"meshes": meshes, "nodes": rig.document["nodes"] + places}
+    rig.document["scenes"] = [{"nodes": [*roots, *range(first, first + len(places))]}]
+
+
+def rename(rig: WildRig, *changes: tuple[str, str]) -> None:
+    names = rig.document["meshes"][0]["extras"]["targetNames"]
+    for old, new in changes:
+        names[:] = [re.sub(old, new, name) for name in names]
+
+
+def like_ready_player_me(rig: WildRig) -> None:
+    """Skinned, one mesh for each material, ARKit's names."""
+    jointed(rig)
+    rename(rig, ("_L$", "Left"), ("_R$", "Right"))
+    mesh_each(rig, "{shape}")
+
+
+def like_vroid(rig: WildRig) -> None:
+    """Looks along -z; its own names beside empty shapes of ARKit's names, and cards."""
+    rename(rig, ("jawOpen", "Face.M_F00_Fcl_MTH_A"), ("eyeBlink", "Face.M_F00_Fcl_EYE_Close"))
+    glasses(rig)
+    empty = rig.add(np.zeros_like(rig.arrays[rig.primitives[0]["attributes"]["POSITION"]]))
+    for primitive in rig.primitives:
+        primitive["targets"] = [*primitive["targets"], *[{"POSITION": empty}] * 2]
+    rig.document["meshes"][0]["extras"]["targetNames"] += ["jawOpen", "eyeBlinkLeft"]
+    rig.document["nodes"].append({"rotation": [0, 1, 0, 0], "children": [0]})
+    rig.document["scenes"] = [{"nodes": [1]}]
+
+
+def named_by_maya(rig: WildRig) -> None:
+    """Centimetres, and shapes named after the node of each mesh."""
+    rig.document["nodes"][0]["scale"] = [100.0] * 3
+    mesh_each(rig, "rig:{part}_blendShape.{part}_{shape}")
+
+
+def named_by_blender(rig: WildRig) -> None:
+    """Sides and numbers behind points; millimetres, and another scene beside it."""
+    rig.document["nodes"][0]["scale"] = [1000.0] * 3
+    rename(rig, ("_([LR])$", r".\1"), ("$", ".001"))
+    rig.document |= {"scene": 1, "scenes": [{"nodes": []}, *rig.document["scenes"]]}
+
+
+def exported_by_unity(rig: WildRig) -> None:
+    """Mirrored in x, which a negative scale undoes."""
+    for index, values in enumerate(rig.arrays):
+        if values.shape[1] == 3:
+            rig.arrays[index] = values * np.array([-1, 1, 1], "<f4")
+    for primitive in rig.primitives:
+        primitive["indices"] = rig.add(rig.arrays[primitive["indices"]][::-1].copy())
+    rig.document["nodes"][0]["scale"] = [-1.0, 1.0, 1.0]
+    mesh_each(rig, "blendShape1.{shape}")
+
+
 FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
         repeated, transformed, second_uv, quantized, jointed, tinted,
-        named_by_targets, open_at_rest, sparse, glasses,
+        named_by_targets, open_at_rest, sparse, glasses, strips, glossy,
+        like_ready_player_me, like_vroid, named_by_maya, named_by_blender, exported_by_unity,
     )
 }  # fmt: skip
 
