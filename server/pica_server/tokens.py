@@ -41,9 +41,6 @@ LEEWAY_S: Final = 10.0
 """How far the clocks of minter and relay may differ (chosen)."""
 MIN_SECRET_BYTES: Final = 32
 """A secret is as long as the hash (RFC 7518 3.2)."""
-MAX_AVATARS: Final = 14
-"""Avatars in one token; more would not fit into it."""
-
 MAX_LASTS_S: Final = 100 * 365 * 86_400
 """A hundred years: no token opens a room for longer."""
 _MAX_TIME_S: Final = 2.0**53
@@ -148,8 +145,6 @@ def mint(keys: Keys, room: str, admission: Admission, *, now: float, lasts_s: fl
     check_token("identity", admission.identity)
     if admission.name:
         check_name("name", admission.name)
-    if len(admission.avatars) > MAX_AVATARS:
-        raise ValueError(f"avatars must have at most {MAX_AVATARS}, got {len(admission.avatars)}")
     for avatar in admission.avatars:
         if avatar != ANY_AVATAR and not is_avatar_id(avatar):
             raise ValueError(f"avatars must be SHA-256 in hexadecimal or *, got {quoted(avatar)}")

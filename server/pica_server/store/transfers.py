@@ -15,8 +15,7 @@ import asyncio
 import logging
 import socket
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from email.utils import formatdate
 from http import HTTPStatus
@@ -205,6 +204,8 @@ class Uploads:
                 await websocket.send(encode_message(stored))
         except (RemoteProtocolError, RefusalError) as error:
             return error.code, str(error)
+        except TimeoutError:
+            return CloseCode.TOO_SLOW, "the offer or the file came too slowly"
         except OSError as error:
             self._stats["faults"] += 1
             _logger.warning("avatar store failed", extra={"error": type(error).__name__})
@@ -213,8 +214,7 @@ class Uploads:
 
     async def _offer(self, websocket: RelaySocket) -> Offer:
         """Take the offer of a peer that may make it."""
-        late = RefusalError("no offer came", CloseCode.HANDSHAKE_TIMEOUT)
-        async with _within(self._offer_timeout_s, late):
+        async with asyncio.timeout(self._offer_timeout_s):
             offer = decode_message(await _binary(websocket))
         if not isinstance(offer, Offer):
             raise RemoteProtocolError("an offer comes first", CloseCode.UNEXPECTED_MESSAGE)
@@ -226,10 +226,9 @@ class Uploads:
         if await store.size(offer.sha256) is not None:
             self._stats["uploads_known"] += 1
             return Stored()
-        late = RefusalError("the file came too slowly", CloseCode.TOO_SLOW)
         data = bytearray()
         with store.reserved(offer.size):
-            async with _within(store.config.longest_s(offer.size), late):
+            async with asyncio.timeout(store.config.longest_s(offer.size)):
                 await websocket.send(encode_message(Ready()))
                 while len(data) < offer.size:
                     chunk = decode_chunk(await _binary(websocket))
@@ -240,15 +239,6 @@ class Uploads:
             await store.keep(offer.sha256, data)
         self._stats["uploads_kept"] += 1
         return Stored(is_new=True)
-
-
-@asynccontextmanager
-async def _within(limit_s: float, late: RefusalError) -> AsyncIterator[None]:
-    try:
-        async with asyncio.timeout(limit_s):
-            yield
-    except TimeoutError as error:
-        raise late from error
 
 
 async def _binary(websocket: RelaySocket) -> bytes:
