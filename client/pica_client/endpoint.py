@@ -25,50 +25,21 @@ from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
-from pica_protocol.errors import is_worth_retrying
 from pica_protocol.frames import Frame
 from pica_protocol.invite import Invite, make_link
 from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Subscribe, Track
-from pica_protocol.session import ClientEvent, Closed
+from pica_protocol.session import ClientEvent
 
 SUBSCRIBE_INTERVAL_S: Final = 0.02
 """Between two looks at how much of each stream is wanted (chosen: less than a display frame)."""
 CHECK_INTERVAL_S: Final = 0.25
 """Time between two timers that tell whether this machine is too busy."""
+BUSY_RATIO: Final = 0.05
+"""Share of the time by which the timers of the network's thread are late on a machine that is too
+busy to take frames as they come (chosen: 12 ms each; a calm machine has 1, and one with six
+programs for each core 10 to 80)."""
 JOIN_TIMEOUT_S: Final = 5.0
 """Longest wait for the thread; a link that leaves is gone within its close timeouts."""
-
-
-class LinkNews:
-    """Says a line when the connection to the relay comes and goes, for programs without a window.
-
-    A connection that never led into the room is no news: the link raises why, or tries on.
-    """
-
-    def __init__(self, joined: str, say: Callable[[str], None]) -> None:
-        """Prepare to say `joined` once we are in the room."""
-        self._joined = joined
-        self._say = say
-        self._has_joined = False
-        self._lost_s: float | None = None
-
-    def receive_event(self, event: ClientEvent, now: float) -> None:
-        """Take an event of the link's session at `now`, seconds."""
-        match event:
-            case Joined() if not self._has_joined:
-                self._has_joined = True
-                self._say(self._joined)
-            case Joined() if self._lost_s is not None:
-                self._say(f"back in the room after {now - self._lost_s:.1f} s")
-                self._lost_s = None
-            case Closed(code=code, reason=reason) if (
-                self._has_joined and self._lost_s is None and is_worth_retrying(code)
-            ):
-                self._lost_s = now
-                why = f" ({reason})" if reason else ""
-                self._say(f"connection to the relay lost{why}; coming back by itself")
-            case _:
-                pass
 
 
 class Endpoint:
@@ -79,15 +50,14 @@ class Endpoint:
     """
 
     def __init__(
-        self, link_config: LinkConfig, own: Outgoing, *, news: LinkNews | None = None
+        self, link_config: LinkConfig, own: Outgoing, *, say: Callable[[str], None] | None = None
     ) -> None:
-        """Prepare. `news` hears of the link."""
+        """Prepare. `say` is told what happens to the link, see `Link`."""
         self.own = own
-        self._news = news
         if own.face is not None:
             own.face.listen_to(own.voice)
         tracks = tuple(each.track for each in (own.face, own.voice) if each is not None)
-        self.link = Link(link_config, tracks, on_event=self._on_event)
+        self.link = Link(link_config, tracks, on_event=self._on_event, say=say)
         self._stopping = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -135,15 +105,10 @@ class Endpoint:
         self.link.leave()
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
-        for own in (self.own.face, self.own.voice):
-            if own is not None:
-                own.receive_event(event)
         if isinstance(event, Joined) and self.own.giver is not None:
             self.own.giver.begin(self.link.url)
         if isinstance(event, PeerJoined | Joined):
             self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
-        if self._news is not None:
-            self._news.receive_event(event, now)
 
     def _decline(self, peers: Sequence[Peer]) -> None:
         """Tell the relay to send nothing of newcomers that is not used here."""
@@ -209,15 +174,17 @@ class Receiver(Endpoint):
         call: Call,
         own: Outgoing | None = None,
         *,
-        news: LinkNews | None = None,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         """Prepare; see `Endpoint`. Without ears of the call no voices are sent to us."""
-        super().__init__(link_config, own or Outgoing(), news=news)
+        super().__init__(link_config, own or Outgoing(), say=say)
         self.call = call
         self.late_s = 0.0
         self._started = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
+        self._uplink = QualityMeter()
+        self._looked: tuple[float, float] | None = None  # when, and by how much timers were late
         call.own_name = link_config.name
         call.guard = self.link.guard
 
@@ -250,6 +217,64 @@ class Receiver(Endpoint):
             "received_wire_bytes": self.link.received_wire_bytes,
             "sent": None if self.own.face is None else self.own.face.stats(),
         }
+
+    def status(self, now: float) -> CallStatus:
+        """How the call stands at `now`, seconds, for the texts over the picture; to be asked about
+        twice a second."""
+        link, face = self.link, self.own.face
+        is_busy = self._is_busy(now)
+        room = self.call.room(now, is_busy=is_busy)
+        quality = [member.quality for member in room.participants]
+        muted = " and ".join(link.muted)
+        tracks = tuple(replace(track, stream=i) for i, track in enumerate(link.tracks, 1))
+        own = Member(
+            peer=Peer(
+                peer_id=SELF_ID, name=self.call.own_name, tracks=tracks, metadata=link.metadata
+            ),
+            is_away=not link.is_joined,
+            note="muted by an admin" if muted else "",
+        )
+        return replace(
+            room,
+            participants=(own, *room.participants),
+            room=link.config.room,
+            invitation=make_link(Invite(url=link.config.url, room=link.config.room)),
+            is_encrypted=link.guard is not None,
+            code="" if link.guard is None else link.guard.status.code,
+            is_connected=link.is_joined,
+            away_s=0.0 if link.left_s is None else now - link.left_s,
+            own_quality=own_quality(quality, self._sent_quality(now, is_busy)),
+            is_admin=link.is_admin,
+            muted_by_admin=muted,
+            own_trouble="" if face is None else face.trouble,
+            summary=self._summary(now, sum(each.payload_bps or 0.0 for each in room.participants)),
+        )
+
+    def _is_busy(self, now: float) -> bool:
+        """Return True if this machine was too busy, since the last look, to say how frames come."""
+        before_s, late_before_s = self._looked or (now, self.late_s)
+        self._looked = now, self.late_s
+        return self.late_s - late_before_s > BUSY_RATIO * (now - before_s)
+
+    def _sent_quality(self, now: float, is_busy: bool) -> Quality:
+        """How the network takes our own frames; unknown while we send none."""
+        face = self.own.face
+        if face is None or not self.link.is_joined:
+            return self._uplink.pause()
+        if is_busy:
+            return self._uplink.skip()
+        missed_s = self.link.num_replaced / face.config.fps
+        return self._uplink.receive(PlayoutReport(received=face.num_sent, missed_s=missed_s), now)
+
+    def _summary(self, now: float, bps: float) -> tuple[tuple[str, str], ...]:
+        stats = self.stats(now)
+        delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
+        return (
+            ("relay", "connected" if self.link.is_joined else "away"),
+            ("in", f"{bps / 1e3:.1f} kbit/s"),
+            ("playout", f"{delay_ms:.0f} ms"),
+            ("errors", str(stats["errors"])),
+        )
 
     def __enter__(self) -> Self:
         def work() -> None:
@@ -344,93 +369,3 @@ class Hearing(Ears):
             "trouble": state.speaker.note or available() or "",
             "voices": {peer_id: asdict(voice) for peer_id, voice in voices.items()},
         }
-
-
-BUSY_RATIO = 0.05
-"""Share of the time by which the timers of the network's thread are late on a machine that is too
-busy to take frames as they come (chosen: 12 ms each; a calm machine has 1, and one with six
-programs for each core 10 to 80)."""
-
-
-class CallMonitor:
-    """Says how a receiver's call stands, for the texts over the picture."""
-
-    def __init__(self, receiver: Receiver) -> None:
-        self._receiver = receiver
-        self._uplink = QualityMeter()
-        self._before: tuple[float, float] | None = None  # when, and by how much timers were late
-        self._away_since_s: float | None = None
-
-    def status(self, now: float) -> CallStatus:
-        """How the call stands at `now`, seconds; to be asked about twice a second."""
-        receiver, link = self._receiver, self._receiver.link
-        if receiver.is_connected:
-            self._away_since_s = None
-        elif self._away_since_s is None:
-            self._away_since_s = now
-        is_busy = self._is_busy(now)
-        room = receiver.call.room(now, is_busy=is_busy)
-        quality = [member.quality for member in room.participants]
-        return replace(
-            room,
-            participants=(self._own(receiver.call.own_name), *room.participants),
-            room=link.config.room,
-            invitation=invitation(link.config.url, link.config.room),
-            is_encrypted=link.guard is not None,
-            code="" if link.guard is None else link.guard.status.code,
-            is_connected=receiver.is_connected,
-            away_s=0.0 if self._away_since_s is None else now - self._away_since_s,
-            own_quality=own_quality(quality, self._sent_quality(now, is_busy)),
-            is_admin=link.is_admin,
-            muted_by_admin=self._muted_by_admin,
-            own_trouble="" if receiver.own.face is None else receiver.own.face.trouble,
-            summary=self._summary(now, sum(each.payload_bps or 0.0 for each in room.participants)),
-        )
-
-    def _is_busy(self, now: float) -> bool:
-        """Return True if this machine was too busy, since the last look, to say how frames come."""
-        late_s = self._receiver.late_s
-        before_s, late_before_s = self._before or (now, late_s)
-        self._before = now, late_s
-        return late_s - late_before_s > BUSY_RATIO * (now - before_s)
-
-    def _own(self, name: str) -> Member:
-        """Ourselves, as the others see us."""
-        link = self._receiver.link
-        tracks = tuple(replace(track, stream=i) for i, track in enumerate(link.tracks, 1))
-        return Member(
-            peer=Peer(peer_id=SELF_ID, name=name, tracks=tracks, metadata=link.metadata),
-            is_away=not self._receiver.is_connected,
-            note="muted by an admin" if self._muted_by_admin else "",
-        )
-
-    @property
-    def _muted_by_admin(self) -> str:
-        own = {"face": self._receiver.own.face, "voice": self._receiver.own.voice}
-        return " and ".join(kind for kind, each in own.items() if each and each.is_muted_by_admin)
-
-    def _sent_quality(self, now: float, is_busy: bool) -> Quality:
-        """How the network takes our own frames; unknown while we send none."""
-        publisher, num_replaced = self._receiver.own.face, self._receiver.link.num_replaced
-        if publisher is None or not self._receiver.is_connected:
-            return self._uplink.pause()
-        if is_busy:
-            return self._uplink.skip()
-        missed_s = num_replaced / publisher.config.fps
-        report = PlayoutReport(received=publisher.num_sent, missed_s=missed_s)
-        return self._uplink.receive(report, now)
-
-    def _summary(self, now: float, bps: float) -> tuple[tuple[str, str], ...]:
-        stats = self._receiver.stats(now)
-        delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
-        return (
-            ("relay", "connected" if self._receiver.is_connected else "away"),
-            ("in", f"{bps / 1e3:.1f} kbit/s"),
-            ("playout", f"{delay_ms:.0f} ms"),
-            ("errors", str(stats["errors"])),
-        )
-
-
-def invitation(url: str, room: str) -> str:
-    """A link that leads to a room; whom a relay wants a token of needs one of their own."""
-    return make_link(Invite(url=url, room=room))

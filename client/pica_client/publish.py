@@ -41,8 +41,7 @@ from pica_core.codec.latent_stream import (
     LatentEncoder,
 )
 from pica_core.types import Image
-from pica_protocol.messages import Joined, StreamMuted, Track
-from pica_protocol.session import ClientEvent
+from pica_protocol.messages import Track
 
 _log = logging.getLogger(__name__)
 
@@ -80,7 +79,6 @@ class Publisher:
 
     Attributes:
         avatar: Whose expression encoder makes the latents.
-        is_muted_by_admin: Whether an admin has stopped the stream.
         mode: What becomes of the face from the next frame on, as far as its owner says; any thread
             may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
@@ -92,7 +90,6 @@ class Publisher:
         self.config = config
         self.avatar = avatar
         self._watcher: OnSent | None = None
-        self.is_muted_by_admin = False
         self.source = source
         self.seen: ExpressionFrame | None = None
         self._encoder = ExpressionEncoder(avatar)
@@ -103,7 +100,7 @@ class Publisher:
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
         self.num_sent = self._faceless = self._payload_bytes = 0
-        self._own_streams: tuple[int, ...] = ()
+        self._num_joins = 0
         self.mode: FaceMode = "sent"
         self._mode_before: FaceMode = "sent"
         self._is_lost = False
@@ -143,19 +140,6 @@ class Publisher:
         """Let go of the tracker."""
         self.replace_source(Unseen())
 
-    def receive_event(self, event: ClientEvent) -> None:
-        """Take an event of the link's session."""
-        match event:
-            case Joined(tracks=tracks):  # the room has seen nothing of us, or of the last of it
-                self._stream.restart()
-                self._own_streams = tuple(t.stream for t in tracks if t.kind == FACE_TRACK)
-                self.is_muted_by_admin = False  # we are told again if it is so
-            case StreamMuted(stream=stream, is_muted=is_muted) if stream in self._own_streams:
-                self.is_muted_by_admin = is_muted
-                _log.warning("muted by an admin" if is_muted else "not muted any more")
-            case _:
-                pass
-
     async def pace(self, link: Link, stopping: asyncio.Event) -> None:
         """Send until told to stop, or for the configured time."""
         loop = asyncio.get_running_loop()
@@ -187,7 +171,6 @@ class Publisher:
             "without_face": self._faceless,
             "payload_bytes": self._payload_bytes,
             "payload_bps": round(self._payload_bytes * 8 / seconds) if seconds else None,
-            "muted": self.is_muted_by_admin,
         }
 
     @property
@@ -221,6 +204,9 @@ class Publisher:
         """Sample, encode and offer one face."""
         if not link.is_joined:
             return
+        if link.connects != self._num_joins:
+            self._num_joins = link.connects
+            self._stream.restart()  # the room has seen nothing of us, or of the last of it
         if self.mode != self._mode_before:
             if self._mode_before == "muted":
                 self._stream.restart()  # they have seen nothing for a while

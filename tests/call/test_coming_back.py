@@ -14,7 +14,7 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.endpoint import LinkNews, Receiver, Sender
+from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.connect import LinkConfig
@@ -99,12 +99,11 @@ async def test_a_sender_without_a_window_says_that_it_is_in_that_the_relay_went_
     None
 ):
     said: list[str] = []
-    news = LinkNews("sending", said.append)
     avatar_id, avatar = next(iter(AVATARS.items()))
     link = replace(config("ada"), connect_timeout_s=None)
     source = open_source("performance:talk")
     sender = Sender(
-        link, Outgoing(face=Publisher(SenderConfig(), source, avatar, avatar_id)), news=news
+        link, Outgoing(face=Publisher(SenderConfig(), source, avatar, avatar_id)), say=said.append
     )
     sending = asyncio.create_task(sender.run())
     await asyncio.sleep(3)
@@ -117,7 +116,7 @@ async def test_a_sender_without_a_window_says_that_it_is_in_that_the_relay_went_
     sender.stop()
     await sending
     assert said[:2] == [
-        "sending",
+        "in room kitchen at ws://ada:8765 as ada",
         "connection to the relay lost (the relay is stopping); coming back by itself",
     ]
     assert re.fullmatch(r"back in the room after \d\.\d s", said[2])

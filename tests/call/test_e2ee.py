@@ -52,8 +52,8 @@ class Sealed:
             LinkConfig(url=f"ws://{host}:8765", room="r", name=name),
             (Track(kind="face"),) if publishes else (),
             on_event=self._take,
-            guard=self.guard,
         )
+        self.link.guard = self.guard
         self.frames: list[tuple[float, Frame]] = []
         self.events: list[ClientEvent] = []
         self.joined_s = 0.0

@@ -15,7 +15,7 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.call.status import CallStatus, FaceState
-from pica_client.endpoint import CallMonitor, Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode
@@ -49,7 +49,6 @@ class Person:
             Call(LoadedAvatars({AVATAR_ID: AVATAR})),
             Outgoing(face=self.publisher),
         )
-        self.monitor = CallMonitor(self.receiver)
         self.seen: list[FaceState] = []
         self.status = CallStatus()
 
@@ -59,7 +58,7 @@ class Person:
             await asyncio.sleep(0.05)
             self.seen += self.receiver.call.faces(loop.time())
             if index % 10 == 0:
-                self.status = self.monitor.status(loop.time())
+                self.status = self.receiver.status(loop.time())
 
     def motion(self) -> float:
         """Largest step of a number of the latent over the last second."""
@@ -172,7 +171,7 @@ async def test_how_the_call_stands_follows_the_network() -> None:
             for person in (ada, ben):
                 person.receiver.stop()
         await asyncio.sleep(0.1)
-        before = ben.monitor.status(20.0)
-        after = ben.monitor.status(23.0)
+        before = ben.receiver.status(20.0)
+        after = ben.receiver.status(23.0)
         assert not after.is_connected
         assert after.away_s - before.away_s == pytest.approx(3.0)

@@ -14,7 +14,7 @@ from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call
 from pica_client.call.roster import Member
 from pica_client.e2ee.secret import RoomSecret, save_secret
-from pica_client.endpoint import CallMonitor, Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
@@ -31,7 +31,7 @@ class Viewer:
 
     def __init__(self, link: LinkConfig, avatars: LoadedAvatars) -> None:
         self.receiver = Receiver(link, Call(avatars))
-        self.status = CallMonitor(self.receiver).status
+        self.status = self.receiver.status
 
     def listed(self) -> dict[str, Member]:
         now = asyncio.get_running_loop().time()

@@ -11,7 +11,7 @@ import pytest
 
 from helpers.certificates import write_certificate
 from pica_client.errors import RelayRefusedError
-from pica_client.transport.connect import LinkConfig, RelayConnect
+from pica_client.transport.connect import LinkConfig, open_websocket
 from pica_client.transport.link import Link
 from pica_protocol.limits import bound_tls_buffer
 from pica_protocol.messages import Joined
@@ -115,7 +115,7 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
             assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
             monkeypatch.setenv("SSL_CERT_FILE", str(renewed))
-            websocket = await RelayConnect(relay.url)
+            websocket = await open_websocket(relay.url)
             assert bound_tls_buffer(websocket.transport)
             await websocket.close()
             assert link.is_joined
@@ -193,7 +193,7 @@ def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(
             silent[1][1].write(b"no TLS at all")
             with suppress(ConnectionResetError):
                 await silent[1][0].read()
-            websocket = await RelayConnect(relay.url)
+            websocket = await open_websocket(relay.url)
             await websocket.close()
             for each in (writer, silent[1][1]):
                 each.transport.abort()

@@ -24,13 +24,7 @@ from pica_client.errors import (
     RelayRefusedError,
     RelayUnreachableError,
 )
-from pica_client.transport.connect import (
-    CONNECT_ERRORS,
-    LinkConfig,
-    RelayConnect,
-    read_token,
-    refusal,
-)
+from pica_client.transport.connect import LinkConfig, open_websocket
 from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_protocol.codec import (
@@ -66,16 +60,9 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
         OptionError: The token file, or the certificates, cannot be read.
     """
     data = await asyncio.to_thread(read_bytes, path, MAX_FILE_BYTES)
-    token = link.token or read_token(link.token_file)
+    token = link.read_token()
+    websocket = await open_websocket(url, STORE_SUBPROTOCOL)
     try:
-        websocket = await RelayConnect(url, subprotocol=STORE_SUBPROTOCOL)
-    except CONNECT_ERRORS as error:
-        if why := refusal(error):
-            raise RelayRefusedError(f"{url}: {why}") from error
-        raise RelayUnreachableError(f"{url}: no answer") from error
-    try:
-        if websocket.subprotocol != STORE_SUBPROTOCOL:
-            raise RelayRefusedError("the relay keeps no avatars")
         raw = websocket.transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
             with suppress(OSError):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.endpoint import LinkNews, Sender
+from pica_client.endpoint import Sender
 from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
 from pica_client.transport.connect import LinkConfig
@@ -76,18 +76,16 @@ def send(options: SendOptions) -> dict[str, Any]:
         )
     if voice is not None:
         own = replace(own, voice=VoicePublisher(voice, is_sealed=is_sealed))
-    where = f"room {link.room} at {link.url}"
-    news = LinkNews(f"sending {options.source} as {link.name} to {where}", say)
 
     async def run() -> dict[str, Any]:
-        sender = Sender(link, own, news=news)
+        sender = Sender(link, own, say=say)
         loop = asyncio.get_running_loop()
         with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)):
             await sender.run()
         return sender.stats()
 
     if options.join.wait:
-        say(f"waiting for {where}")
+        say(f"waiting for room {link.room} at {link.url}")
     result = asyncio.run(run())
     say(f"sent {result['sent']} frames, {result['payload_bps'] or 0} bit/s of payload")
     return result

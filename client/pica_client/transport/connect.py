@@ -1,5 +1,6 @@
 """Where a link leads, under which name and with which token; websockets to a relay, with small
-buffers and no compression; and what it means when one fails or ends."""
+buffers and no compression; and what it means when one cannot be opened, or ends.
+"""
 
 import asyncio
 import binascii
@@ -14,7 +15,7 @@ from base64 import urlsafe_b64decode
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from urllib.parse import SplitResult, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
@@ -33,7 +34,7 @@ from websockets.proxy import get_proxy
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
-from pica_client.errors import OptionError, RelayRefusedError
+from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
 from pica_protocol.limits import (
@@ -87,6 +88,23 @@ class LinkConfig:
         except ValueError as error:
             raise OptionError(str(error)) from error
 
+    def read_token(self) -> str:
+        """Return the join token; empty without one.
+
+        Raises:
+            OptionError: There is none in the file.
+        """
+        if self.token_file is None:
+            return self.token
+        try:
+            token = text_of_file(self.token_file.read_bytes()).strip()
+            check_pass("token", token)
+        except OSError as error:
+            raise OptionError(f"token-file {self.token_file}: {error.strerror}") from error
+        except ValueError as error:  # no text, or none that can be a token
+            raise OptionError(f"token-file {self.token_file}: it holds no token") from error
+        return token
+
 
 def check_address(url: str) -> None:
     """Refuse what is no address of a relay.
@@ -101,24 +119,6 @@ def check_address(url: str) -> None:
         usable = False
     if not usable:
         raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
-
-
-def read_token(path: Path | None) -> str:
-    """Read a join token; empty without a file.
-
-    Raises:
-        OptionError: There is none in the file.
-    """
-    if path is None:
-        return ""
-    try:
-        token = text_of_file(path.read_bytes()).strip()
-        check_pass("token", token)
-    except OSError as error:
-        raise OptionError(f"token-file {path}: {error.strerror}") from error
-    except ValueError as error:  # no text, or none that can be a token
-        raise OptionError(f"token-file {path}: it holds no token") from error
-    return token
 
 
 def shown_name(name: str, token: str) -> str:
@@ -153,8 +153,6 @@ CHECK_S: Final = 0.55
 MAX_UNANSWERED: Final = 3
 """Checks without an answer before the connection is left (chosen: a dead path is left after 2.2 to
 2.75 s, and an answer may take 1.65 s)."""
-CONNECT_ERRORS: Final = (OSError, EOFError, WebSocketException, UnicodeError, ImportError)
-"""Errors of the network, of an address and of a proxy; see `refusal` and `trouble`."""
 _NOT_TLS: Final = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "PACKET_LENGTH_TOO_LONG")
 """What OpenSSL calls an answer that is none of its own."""
 
@@ -183,30 +181,41 @@ class RelayWebsocket(ClientConnection):
         self.heard_s = self.loop.time()
         super().data_received(data)
 
-    def send_ping(self) -> None:
-        """Send a ping without waiting: `heard_s` tells whether it was answered."""
-        if self.state is State.OPEN:
-            self.protocol.send_ping(b"")
-            self.send_data()
+    async def watch(self) -> None:
+        """Ping a relay that is not heard; return once the connection was left for a dead one.
+
+        Checks are counted, not time: a program that slept reads and pings before it judges.
+        """
+        heard_s, num_unanswered = -math.inf, 0
+        while num_unanswered < MAX_UNANSWERED:
+            await asyncio.sleep(CHECK_S)
+            num_unanswered = num_unanswered + 1 if self.heard_s == heard_s else 0
+            heard_s = self.heard_s
+            if num_unanswered and self.state is State.OPEN:  # without waiting for the answer
+                self.protocol.send_ping(b"")
+                self.send_data()
+        self.transport.abort()
 
 
-class RelayConnect(connect):
-    """`connect` with our settings, which stays at the address that it was given.
+class _Connect(connect):
+    """Stays at the address that it was given: a relay redirects by its goodbye, which `redirect_of`
+    judges; HTTP would send us anywhere."""
 
-    A relay redirects by its goodbye, which `redirect_of` judges; HTTP would send us
-    anywhere.
+    def process_redirect(self, exc: Exception) -> Exception | str:
+        """Follow no redirect of HTTP."""
+        return exc
+
+
+async def open_websocket(url: str, subprotocol: str = SUBPROTOCOL) -> RelayWebsocket:
+    """Connect to a relay.
+
+    Raises:
+        RelayRefusedError: What answers there is no relay, or no way leads there.
+        RelayUnreachableError: There is no answer now, and perhaps later.
     """
-
-    def __init__(
-        self,
-        url: str,
-        *,
-        subprotocol: str = SUBPROTOCOL,
-        **options: Any,
-    ) -> None:
-        """Prepare; `options` are further ones of the library."""
-        address, bracket, rest = url.partition("]")
-        super().__init__(
+    address, bracket, rest = url.partition("]")
+    try:
+        websocket = await _Connect(
             # The zone of a link-local address, which RFC 6874 writes after an escaped percent sign.
             address.replace("%25", "%") + bracket + rest if bracket else url,
             create_connection=RelayWebsocket,
@@ -224,28 +233,16 @@ class RelayConnect(connect):
             proxy=proxy_of(url),
             user_agent_header=SOFTWARE,
             happy_eyeballs_delay=HAPPY_EYEBALLS_S,
-            **options,
         )
-
-    def process_redirect(self, exc: Exception) -> Exception | str:
-        """Follow no redirect of HTTP."""
-        return exc
-
-
-async def watch(websocket: RelayWebsocket) -> None:
-    """Ping a relay that is not heard; return once the connection was left for a dead one.
-
-    Checks are counted, not time: a program that slept reads and pings before it judges.
-    """
-    heard_s, num_unanswered = -math.inf, 0
-    while num_unanswered < MAX_UNANSWERED:
-        await asyncio.sleep(CHECK_S)
-        is_silent = websocket.heard_s == heard_s
-        num_unanswered = num_unanswered + 1 if is_silent else 0
-        heard_s = websocket.heard_s
-        if num_unanswered:
-            websocket.send_ping()
-    websocket.transport.abort()
+    except (OSError, EOFError, WebSocketException, UnicodeError, ImportError) as error:
+        if reason := _refusal(error):
+            raise RelayRefusedError(f"{url}: {reason}") from error
+        raise RelayUnreachableError(_trouble(error, url)) from error
+    assert isinstance(websocket, RelayWebsocket)
+    if websocket.subprotocol != subprotocol:
+        websocket.transport.abort()
+        raise RelayRefusedError(f"{url}: a websocket server that does not speak {subprotocol}")
+    return websocket
 
 
 def proxy_of(url: str) -> str | None:
@@ -253,12 +250,12 @@ def proxy_of(url: str) -> str | None:
     None for this machine, and where ``no_proxy`` names the host."""
     with suppress(InvalidURI, ValueError):
         uri = parse_uri(url)
-        if not is_loopback(uri.host) and not proxy_bypass(f"{uri.host}:{uri.port}"):
+        if not _is_loopback(uri.host) and not proxy_bypass(f"{uri.host}:{uri.port}"):
             return get_proxy(uri) or getproxies().get("all")
     return None
 
 
-def is_loopback(host: str) -> bool:
+def _is_loopback(host: str) -> bool:
     """Return True if an address is this machine's own."""
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -266,7 +263,7 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def refusal(error: BaseException) -> str | None:
+def _refusal(error: BaseException) -> str | None:
     """Return why trying again cannot help, or None if it may."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"its certificate is not trusted: {error.verify_message.rstrip('.')} (SSL_CERT_FILE)"
@@ -282,7 +279,7 @@ def refusal(error: BaseException) -> str | None:
     return None
 
 
-def trouble(error: BaseException, url: str) -> str:
+def _trouble(error: BaseException, url: str) -> str:
     """Return what stands in the way of a websocket now, and perhaps not later."""
     cause = error.__cause__
     has_tls = url.startswith("wss://")
@@ -299,15 +296,15 @@ def trouble(error: BaseException, url: str) -> str:
     return f"{str(error) or 'no answer'}{way}"
 
 
-def breaks_protocol(closed: Closed) -> bool:
-    """Return True if a connection ended because one end broke the protocol."""
-    return closed.code in (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
+PROTOCOL_BROKEN: Final = (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
+"""How a connection ends on which one end broke the protocol."""
 
 
 def refusal_of(url: str, closed: Closed) -> RelayRefusedError | None:
     """Return what it means that a relay closed a connection, or None: come back at once."""
     # What we could not read may have been a passing fault of the relay: try again, slower.
-    if is_worth_retrying(closed.code) or (breaks_protocol(closed) and not closed.is_remote):
+    is_ours = closed.code in PROTOCOL_BROKEN and not closed.is_remote
+    if is_worth_retrying(closed.code) or is_ours:
         return None
     return RelayRefusedError(
         f"{url}: the relay said no: {closed.reason or 'no reason'} (code {closed.code})",

@@ -17,7 +17,7 @@ from typing import Any
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.endpoint import Hearing, LinkNews, Receiver
+from pica_client.endpoint import Hearing, Receiver
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.publish import DEFAULT_SOURCE, FaceControls, Outgoing, open_face
 from pica_client.system import check_writable, on_stop_signal, say
@@ -210,13 +210,12 @@ def stay(
             stack.callback(hearing.seat, ())
         else:
             say(f"a call without sound: {lacking}")
-        doing = "looking into" if own.face is None else f"in, as {link.name},"
         call = Call(fetcher, ears=hearing)
         receiver = Receiver(
             link,
             call,
             replace(own, voice=own_voice),
-            news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
+            say=say,
         )
         receiver.say_recording(options.record is not None)
         stack.enter_context(receiver)

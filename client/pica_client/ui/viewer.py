@@ -23,7 +23,7 @@ from pica_client.call.roster import SELF_ID
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeChoice
-from pica_client.endpoint import CallMonitor, Receiver
+from pica_client.endpoint import Receiver
 from pica_client.errors import ClientError, OptionError
 from pica_client.publish import FaceControls
 from pica_client.render.draw_clock import DrawClock
@@ -119,7 +119,7 @@ class Viewer(Closing):
             self._renderer = Renderer(context, size, RENDER)
             is_slow = is_software(self._renderer.gl_renderer)
             self._period_s = 1 / (options.max_fps or (SOFTWARE_FPS if is_slow else DISPLAY_FPS))
-            status = CallMonitor(receiver).status if receiver is not None else None
+            status = None if receiver is None else receiver.status
             has_pointer = window is not None
             self._panels = CallSurface(self._meter, status, has_pointer=has_pointer)
             self._recorder: Recorder | None = None

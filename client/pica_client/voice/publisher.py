@@ -16,8 +16,6 @@ from pica_client.tracks import VOICE_KEY, VOICE_MUTED, voice_track
 from pica_client.transport.link import Link
 from pica_client.voice.opus import FRAME_SAMPLES, FRAME_US, PACKET_FRAMES, OpusEncoder
 from pica_core.types import FloatArray
-from pica_protocol.messages import Joined, StreamMuted
-from pica_protocol.session import ClientEvent
 
 BITRATE_BPS: Final = 24_000
 """Bits a second during speech."""
@@ -42,7 +40,6 @@ class VoicePublisher:
 
     Attributes:
         is_muted: Whether its owner has muted it, from the next frame on; any thread may set it.
-        is_muted_by_admin: Whether an admin has stopped the stream.
         listeners: Take what is captured and not muted: samples, and when the first was captured.
     """
 
@@ -57,26 +54,14 @@ class VoicePublisher:
             VoiceError: There is no libopus.
         """
         self.track = voice_track()
-        self.is_muted = self.is_muted_by_admin = False
+        self.is_muted = False
         self.listeners: list[Callable[[FloatArray, int], None]] = []
         self._source = source
         self._encoder = OpusEncoder(BITRATE_BPS, is_constant=is_sealed)
-        self._stream = 0
         self._was_muted = False
         self._begun: list[FloatArray] = []  # of the next packet, and when it was captured
         self._begun_us = 0
         self._sent = self._payload_bytes = 0
-
-    def receive_event(self, event: ClientEvent) -> None:
-        """Take an event of the link's session."""
-        match event:
-            case Joined(tracks=tracks):
-                self._stream = next(t.stream for t in tracks if t.kind == self.track.kind)
-                self.is_muted_by_admin = False  # we are told again if it is so
-            case StreamMuted(stream=stream, is_muted=is_muted) if stream == self._stream:
-                self.is_muted_by_admin = is_muted
-            case _:
-                pass
 
     async def pace(self, link: Link, stopping: asyncio.Event) -> None:
         """Send until told to stop, or the source ends."""
@@ -122,5 +107,5 @@ class VoicePublisher:
         return {
             "sent": self._sent,
             "payload_bytes": self._payload_bytes,
-            "muted": self.is_muted or self.is_muted_by_admin,
+            "muted": self.is_muted,
         }

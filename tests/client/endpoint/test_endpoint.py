@@ -13,7 +13,7 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.call.status import CallStatus
-from pica_client.endpoint import CallMonitor, Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.source import Unseen
 from pica_client.transport.connect import LinkConfig
@@ -102,7 +102,7 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
 
 def test_a_machine_too_busy_to_take_frames_as_they_come_blames_no_connection() -> None:
     receiver = make_receiver("ws://127.0.0.1:9")
-    monitor, busy = CallMonitor(receiver), []
+    busy = []
 
     def room(now: float, *, is_busy: bool = False) -> CallStatus:
         busy.append(is_busy)
@@ -111,7 +111,7 @@ def test_a_machine_too_busy_to_take_frames_as_they_come_blames_no_connection() -
     receiver.call.room = room  # type: ignore[method-assign]
     for second, late_s in enumerate((0.0, 0.02, 0.04, 0.34, 0.36)):
         receiver.late_s = late_s
-        monitor.status(float(second))
+        receiver.status(float(second))
     assert busy == [False, False, False, True, False]
 
 

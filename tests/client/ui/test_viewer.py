@@ -161,20 +161,15 @@ def test_a_decoder_that_fails_breaks_its_own_peer(two: tuple[Faces, Viewer]) -> 
     assert viewer.step(9.0)
 
 
-def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> None:
     asked: list[float] = []
 
-    class Monitor:
-        def __init__(self, receiver: object) -> None: ...
-
+    class Asked:
         def status(self, now: float) -> CallStatus:
             asked.append(now)
             return CallStatus(summary=(("in", "65 kbit/s"),))
 
-    monkeypatch.setattr("pica_client.ui.viewer.CallMonitor", Monitor)
-    with Viewer(Faces("ada"), SMALL, receiver=object()) as viewer:  # type: ignore[arg-type]
+    with Viewer(Faces("ada"), SMALL, receiver=Asked()) as viewer:  # type: ignore[arg-type]
         for step in range(10):
             viewer.step(1.0 + 0.1 * step)
     assert asked == [1.0, 1.5]

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from pica_client.transport.connect import RelayConnect
+from pica_client.transport.connect import open_websocket
 from pica_protocol import SUBPROTOCOL
 from pica_server.config import RelayConfig
 from pica_server.net.socket import RelaySocket
@@ -75,7 +75,7 @@ def test_two_colons_listen_for_both_families_and_zones() -> None:
         async with Relay(RelayConfig(host="::", port=0, insecure=True)) as relay:
             port = relay.url.rpartition(":")[2]
             for host in ("127.0.0.1", "[::1]", f"[::1%{zone}]", f"[::1%25{zone}]"):
-                async with RelayConnect(f"ws://{host}:{port}") as websocket:
+                async with await open_websocket(f"ws://{host}:{port}") as websocket:
                     assert websocket.subprotocol == SUBPROTOCOL
 
     asyncio.run(scenario())
