@@ -13,7 +13,7 @@ from typing import Any, Final, cast, get_args, get_origin, get_type_hints
 import msgpack
 
 from pica_protocol import limits
-from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
+from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.messages import MESSAGE_TYPES, Message, Metadata
 
 CONTROL_KIND: Final = 1
@@ -32,12 +32,12 @@ def encode_message(message: Message) -> bytes:
     """Return the websocket message that carries ``message``.
 
     Raises:
-        LocalProtocolError: It would exceed ``MAX_CONTROL_BYTES``.
+        ValueError: It would exceed ``MAX_CONTROL_BYTES``.
     """
     record = {"type": _TYPE_NAMES[type(message)], **cast(Any, _plain(type(message), message))}
     data = _PREFIX + cast(bytes, msgpack.packb(record))
     if len(data) > limits.MAX_CONTROL_BYTES:
-        raise LocalProtocolError(
+        raise ValueError(
             f"{record['type']} of {len(data)} bytes, the limit is {limits.MAX_CONTROL_BYTES}"
         )
     return data
@@ -96,7 +96,7 @@ def _unpack(data: bytes) -> object:
             strict_map_key=True,
             ext_hook=refuse_extension,
             object_pairs_hook=unique_keys,
-            max_str_len=max(limits.MAX_TEXT_BYTES, limits.MAX_PASS_BYTES),
+            max_str_len=limits.MAX_PASS_BYTES,
             max_bin_len=limits.MAX_WHISPER_BYTES,
             max_array_len=limits.MAX_PEERS,
             max_map_len=limits.MAX_MAP_FIELDS,

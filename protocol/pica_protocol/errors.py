@@ -1,9 +1,4 @@
-"""What can go wrong between two speakers of the protocol, and whose fault it is.
-
-ProtocolError
-├── LocalProtocolError     our own code broke the rules: a bug on this side
-└── RemoteProtocolError    the other side did; carries the close code it is to be told
-"""
+"""Why a connection ended, and what it means."""
 
 from enum import IntEnum
 
@@ -93,17 +88,7 @@ def may_pass(code: int) -> bool:
     return code in (CloseCode.ROOM_FULL, CloseCode.TOO_MANY, CloseCode.UNAUTHORIZED)
 
 
-class ProtocolError(Exception):
-    """Root of the errors of this package."""
-
-    exit_code = 2
-
-
-class LocalProtocolError(ProtocolError):
-    """This side used a session in a way its state forbids: a bug here, nothing to tell the peer."""
-
-
-class RemoteProtocolError(ProtocolError):
+class RemoteProtocolError(Exception):
     """The other side sent what it must not; ``code`` is what to close the connection with."""
 
     def __init__(self, message: str, code: CloseCode = CloseCode.MALFORMED) -> None:

@@ -12,6 +12,7 @@ own uplink, and by the relay for every receiver that does not keep up.
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Final
 
 MAX_WAITING: Final = 10
@@ -22,36 +23,27 @@ LATEST_BYTES: Final = 160
 """What frames of ``latest`` streams take beside ordered ones (chosen: two sealed faces)."""
 
 
+@dataclass(eq=False, slots=True)
 class QueuedFrame:
-    """One encoded frame on its way, as all its readers share it.
+    """One encoded frame on its way, as all its readers share it."""
 
-    Attributes:
-        sender: Whose it is, for fair shares.
-        deadline_s: How long it may wait if it is of an ordered stream; None: it is not.
-        framed: The websocket message that holds it alone, made by the first who sends it.
-    """
-
-    __slots__ = ("data", "deadline_s", "framed", "received_s", "sender", "stream")
-
-    def __init__(
-        self, sender: str, stream: int, data: bytes, received_s: float, deadline_s: float | None
-    ) -> None:
-        self.sender = sender
-        self.stream = stream
-        self.data = data
-        self.received_s = received_s
-        self.deadline_s = deadline_s
-        self.framed = b""
+    sender: str
+    """Whose it is, for fair shares."""
+    stream: int
+    data: bytes
+    received_s: float
+    deadline_s: float | None
+    """How long it may wait if it is of an ordered stream; None: it is not."""
+    framed: bytes = b""
+    """The websocket message that holds it alone, made by the first who sends it."""
 
 
+@dataclass(eq=False, slots=True)
 class _Line:
     """What waits of one sender."""
 
-    __slots__ = ("credit", "frames")
-
-    def __init__(self) -> None:
-        self.frames: deque[QueuedFrame] = deque()
-        self.credit = 0
+    frames: deque[QueuedFrame] = field(default_factory=deque)
+    credit: int = 0
 
 
 _Lines = dict[str, _Line]

@@ -11,7 +11,7 @@ passes through gets to see; who has such a link, comes in.
 from dataclasses import dataclass, field
 from urllib.parse import parse_qs, quote, unquote, urlencode, urlsplit
 
-from pica_protocol.limits import check_pass, check_token
+from pica_protocol.limits import check_pass, check_relay_address, check_token
 
 SCHEME = "pica"
 MAX_LINK_LENGTH = 4096
@@ -28,9 +28,7 @@ class Invite:
     """Lets in; empty where none is needed. A secret."""
 
     def __post_init__(self) -> None:
-        parts = urlsplit(self.url)
-        if parts.scheme not in ("ws", "wss") or not parts.hostname or parts.port == 0:
-            raise ValueError(f"url {self.url!r} is no relay address; write wss://HOST:PORT")
+        check_relay_address("url", self.url)
         check_token("room", self.room)
         check_pass("token", self.token)
 

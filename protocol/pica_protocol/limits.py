@@ -43,9 +43,6 @@ hand; what is larger belongs behind an address that stands here)."""
 MAX_DEADLINE_MS = 10_000
 """How long a frame of an ordered track may wait for its receiver, at most."""
 
-MAX_TEXT_BYTES = 128
-"""The longest text in a message but a token, in UTF-8; fields are bounded more tightly."""
-
 MAX_NAME_BYTES = 64
 """A peer's display name, in UTF-8."""
 
@@ -56,7 +53,8 @@ MAX_WHISPER_BYTES = 512
 """Opaque bytes one peer may send to another through the relay: a wrapped key fits (chosen)."""
 
 MAX_PASS_BYTES = 2048
-"""A join token: its claims and signature, in base64 (chosen: fourteen avatar ids fit)."""
+"""A join token: its claims and signature, in base64 (chosen: fourteen avatar ids fit). No text in a
+message is longer."""
 
 MAX_URL_BYTES = 256
 """The address of another relay (chosen: a host name is at most 253 characters, a usual one 30)."""
@@ -159,6 +157,17 @@ def check_url(field: str, value: str) -> None:
             f"{field} must be empty or ws[s]://HOST[:PORT] in {MAX_URL_BYTES} bytes, "
             f"got {quoted(value)}"
         )
+
+
+def check_relay_address(field: str, url: str) -> None:
+    """Refuse what is no address of a relay that a user could mean."""
+    try:
+        parts = urlsplit(url)
+        is_address = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        is_address = False
+    if not is_address:
+        raise ValueError(f"{field} {url!r} is no relay address; write ws://HOST:PORT")
 
 
 def check_count(field: str, items: Sized, limit: int, what: str = "items") -> None:

@@ -69,6 +69,19 @@ def _tracks(lowest: int, highest: int) -> Check:
     return check
 
 
+def _one_of(choices: tuple[object, ...]) -> Check:
+    def check(name: str, value: object) -> None:
+        if value not in choices:
+            raise ValueError(f"{name} must be one of {choices}, got {limits.quoted(value)}")
+
+    return check
+
+
+def _close_code(name: str, code: int) -> None:
+    if code not in BYE_CODES and not 3000 <= code <= 4999:
+        raise ValueError(f"{name} must be one a close frame may carry, got {code}")
+
+
 Token = Annotated[str, limits.check_token]
 Sha256 = Annotated[str, limits.check_sha256]
 Pass = Annotated[str, limits.check_pass]
@@ -76,6 +89,7 @@ Name = Annotated[str, _text(limits.MAX_NAME_BYTES)]
 Reason = Annotated[str, _text(limits.MAX_REASON_BYTES)]
 Said = Annotated[Metadata, limits.check_metadata]
 Stream = Annotated[int, _within(1, limits.MAX_STREAM)]
+Kind = Annotated[str, limits.check_token, _text(MAX_TRACK_KIND_BYTES)]
 
 
 def wire_name(cls: type) -> str:
@@ -112,9 +126,9 @@ class Checked:
 class Track(Checked):
     """One thing a peer publishes. The relay looks at ``stream`` and ``policy`` only."""
 
-    kind: Token
+    kind: Kind
     """What the payloads are, for receivers: ``face`` today. A short word of a-z, 0-9, _ . -"""
-    policy: str = "latest"
+    policy: Annotated[str, _one_of(DROP_POLICIES)] = "latest"
     """Drop policy, one of ``DROP_POLICIES``."""
     avatar: Sha256 = ""
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
@@ -125,11 +139,6 @@ class Track(Checked):
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
-        limits.check_text("track.kind", self.kind, MAX_TRACK_KIND_BYTES)
-        if self.policy not in DROP_POLICIES:
-            raise ValueError(
-                f"track.policy must be one of {DROP_POLICIES}, got {limits.quoted(self.policy)}"
-            )
         is_ordered = self.policy == "ordered"
         longest_ms = limits.MAX_DEADLINE_MS if is_ordered else 0
         limits.check_range("track.deadline_ms", self.deadline_ms, int(is_ordered), longest_ms)
@@ -250,13 +259,8 @@ class Subscribe(Checked):
     """How much of one stream a receiver wants. Without one it gets everything."""
 
     stream: Stream
-    every: int = 1
+    every: Annotated[int, _one_of(SHARES)] = 1
     """1: every frame; 2 or 4: those whose sequence number is a multiple of it; 0: none."""
-
-    def __post_init__(self) -> None:
-        Checked.__post_init__(self)
-        if self.every not in SHARES:
-            raise ValueError(f"subscribe.every must be one of {SHARES}, got {self.every}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -283,7 +287,7 @@ class MutePeer(Checked):
     ``StreamMuted``."""
 
     peer_id: Token
-    kind: Annotated[str, limits.check_token, _text(MAX_TRACK_KIND_BYTES)]
+    kind: Kind
     """The kind of track, as ``face`` or ``voice``."""
     is_muted: bool
 
@@ -302,32 +306,22 @@ class BarIdentity(Checked):
 class Bye(Checked):
     """Last message of either side; the websocket close frame repeats code and reason."""
 
-    code: int
+    code: Annotated[int, _close_code]
     reason: Reason = ""
     url: Annotated[str, limits.check_url] = ""
     """Another relay, where the same join will be taken; a client may try there at once."""
-
-    def __post_init__(self) -> None:
-        Checked.__post_init__(self)
-        if self.code not in BYE_CODES and not 3000 <= self.code <= 4999:
-            raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Offer(Checked):
     """First message of an upload: which file comes."""
 
-    sha256: Sha256
+    sha256: Annotated[str, limits.check_sha256, _text(64, required=True)]
     """SHA-256 of the file's bytes, in hexadecimal: its id."""
     size: Annotated[int, _within(1, MAX_OFFER_BYTES)]
     """Its length in bytes."""
     token: Pass = field(default="", repr=False)
     """A join token that allows to publish with this avatar; a relay with keys wants one."""
-
-    def __post_init__(self) -> None:
-        Checked.__post_init__(self)
-        if not self.sha256:
-            raise ValueError("offer.sha256 must not be empty")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

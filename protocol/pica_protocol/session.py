@@ -9,8 +9,7 @@ A shell does four things with a session, and nothing else::
 
 plus ``receive_close`` when the socket has ended. A session never raises for what the other side
 sent: it queues a ``Bye``, reports ``Closed`` and is done; the shell sends what is left and closes
-the websocket with the code and reason of ``session.closed``. It raises ``LocalProtocolError`` for
-what this side must not do.
+the websocket with the code and reason of ``session.closed``.
 
 Events come back from the call that caused them. A queue to drain separately would be one more thing
 that a shell can forget.
@@ -33,7 +32,7 @@ from enum import Enum
 from typing import Final, Generic, TypeVar, get_args
 
 from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import MEDIA_PREFIX, Frame, FrameSpan, scan_frames
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, clipped_reason
 from pica_protocol.messages import Bye, FromMember, Join, Joined, Message, RoomNews
@@ -203,8 +202,7 @@ class ServerSession(Session[Join | FromMember]):
 
     def accept(self, joined: Joined) -> None:
         """Let the client in; ``close`` is the other answer to a ``Join``."""
-        if self.state is not State.DECIDING:
-            raise LocalProtocolError(f"no join was asked for: {self.state.value}")
+        assert self.state is State.DECIDING
         self.state = State.JOINED
         self._deadline = None
         self._queue(joined)

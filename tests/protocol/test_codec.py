@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from helpers.strategies import messages
 from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import ProtocolError, RemoteProtocolError
+from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_PEERS
 from pica_protocol.messages import (
     Join,
@@ -35,7 +35,7 @@ def test_every_message_survives_the_wire(message: Message) -> None:
 @settings(max_examples=500)
 def test_any_bytes_are_a_message_or_a_protocol_error(data: bytes) -> None:
     for candidate in (data, b"\x01" + data):
-        with contextlib.suppress(ProtocolError):
+        with contextlib.suppress(RemoteProtocolError):
             decode_message(candidate)
 
 
@@ -57,7 +57,7 @@ def test_a_message_with_any_field_replaced_is_a_message_or_a_protocol_error(
 ) -> None:
     record = msgpack.unpackb(encode_message(message)[1:])
     record[data.draw(st.sampled_from(sorted(record)))] = data.draw(json_like)
-    with contextlib.suppress(ProtocolError):
+    with contextlib.suppress(RemoteProtocolError):
         decode_message(pack(record))
 
 

@@ -41,6 +41,7 @@ from pica_protocol.limits import (
     MAX_CONTROL_BYTES,
     bound_tls_buffer,
     check_pass,
+    check_relay_address,
     check_text,
     check_token,
     text_of_file,
@@ -78,10 +79,10 @@ class LinkConfig:
     def __post_init__(self) -> None:
         name = unicodedata.normalize("NFKC", self.name)  # wide spaces become ordinary ones
         object.__setattr__(self, "name", name.translate(_JOINERS))
-        check_address(self.url)
         if self.token and self.token_file is not None:
             raise OptionError("token and token-file say the same thing; give one of them")
         try:
+            check_relay_address("url", self.url)
             check_token("room", self.room)
             check_text("name", self.name, 64, required=True)
             check_pass("token", self.token)
@@ -104,21 +105,6 @@ class LinkConfig:
         except ValueError as error:  # no text, or none that can be a token
             raise OptionError(f"token-file {self.token_file}: it holds no token") from error
         return token
-
-
-def check_address(url: str) -> None:
-    """Refuse what is no address of a relay.
-
-    Raises:
-        OptionError: It is not of the form ws://HOST:PORT, or wss://.
-    """
-    try:
-        parts = urlsplit(url)
-        usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        usable = False
-    if not usable:
-        raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
 
 
 def shown_name(name: str, token: str) -> str:
