@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, GiveAvatar, avatar_by_name, giver_of
@@ -281,17 +281,12 @@ REST_S: Final = 1.5
 """How long a face at rest is looked at."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrackerPreview:
-    """What the tracker sees, for its owner alone.
-
-    Attributes:
-        has_face: Whether it sees a face.
-        picture: A camera's, uint8 ``[H, W, 3]``; None of other trackers.
-    """
+class TrackerPreview(NamedTuple):
+    """What the tracker sees, for its owner alone."""
 
     has_face: bool
     picture: Image | None
+    """A camera's, uint8 ``[H, W, 3]``; None of other trackers."""
 
 
 class FaceControls:
@@ -308,7 +303,7 @@ class FaceControls:
         self._person = person
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")
         self._opening: tuple[str, Future[None]] | None = None
-        self._rested_s: float | None = None
+        self._resting: tuple[float, Tracker] | None = None  # until when, and what it sees
         self._notices: list[str] = []
 
     def close(self) -> None:
@@ -318,7 +313,7 @@ class FaceControls:
     def choose(self, source: str) -> None:
         """Take another source once it is open; the one before stays where that fails."""
         if self._opening is None and source != self.source:
-            self._rested_s = None
+            self._resting = None
             self._opening = source, self._pool.submit(self._open, source)
 
     def calibrate(self, now: float) -> None:
@@ -328,7 +323,7 @@ class FaceControls:
             self._notices.append("Only a tracker is calibrated: choose one in the settings")
             return
         source.face.recent.clear()
-        self._rested_s = now + REST_S
+        self._resting = now + REST_S, source
         self._notices.append("Look ahead, relaxed, with open eyes …")
 
     def take_notices(self, now: float) -> list[str]:
@@ -341,9 +336,9 @@ class FaceControls:
                 self._notices.append(f"Your face comes from {source}")
             except (SourceError, ModuleNotFoundError) as error:
                 self._notices.append(str(error))
-        if self._rested_s is not None and now >= self._rested_s:
-            self._rested_s = None
-            self._notices.append(self._learn())
+        if self._resting is not None and now >= self._resting[0]:
+            self._notices.append(self._learn(self._resting[1]))
+            self._resting = None
         notices, self._notices = self._notices, []
         return notices
 
@@ -354,10 +349,7 @@ class FaceControls:
             return None
         return TrackerPreview(frame.has_face, source.preview())
 
-    def _learn(self) -> str:
-        source = self.publisher.source
-        if not isinstance(source, Tracker):
-            return ""
+    def _learn(self, source: Tracker) -> str:
         kind, _ = split_source(self.source)
         before = load_calibration(self._person, kind) or Calibration()
         try:

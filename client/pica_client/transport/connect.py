@@ -7,7 +7,6 @@ import binascii
 import ipaddress
 import json
 import logging
-import math
 import socket
 import ssl
 import unicodedata
@@ -130,8 +129,6 @@ HAPPY_EYEBALLS_S: Final = 0.25
 MAX_UNSENT_BYTES: Final = 2048
 """In the kernel, before frames begin to wait where newer ones replace them (chosen: thinning does
 not work behind a deep buffer)."""
-PING_S: Final = 10.0
-"""Between two pings of an upload, and for their answers; a call has a liveness timer of its own."""
 MAX_QUEUED_MESSAGES: Final = 16
 """Websocket messages read ahead; then the network is told to wait."""
 CHECK_S: Final = 0.55
@@ -144,17 +141,12 @@ _NOT_TLS: Final = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "PACKET_LENGT
 
 
 class RelayWebsocket(ClientConnection):
-    """The library's websocket with small buffers, which knows when the relay was last heard.
+    """The library's websocket with small buffers, which leaves a relay that is not heard."""
 
-    Attributes:
-        heard_s: When the latest bytes came, pongs among them, by the time of the event loop.
-    """
-
-    heard_s = 0.0
+    _is_heard = True
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Bound what waits below the library."""
-        self.heard_s = self.loop.time()
         super().connection_made(transport)
         bound_tls_buffer(transport)
         raw = transport.get_extra_info("socket")
@@ -164,7 +156,7 @@ class RelayWebsocket(ClientConnection):
 
     def data_received(self, data: bytes) -> None:
         """Take what has come."""
-        self.heard_s = self.loop.time()
+        self._is_heard = True
         super().data_received(data)
 
     async def watch(self) -> None:
@@ -172,11 +164,11 @@ class RelayWebsocket(ClientConnection):
 
         Checks are counted, not time: a program that slept reads and pings before it judges.
         """
-        heard_s, num_unanswered = -math.inf, 0
+        num_unanswered = 0
         while num_unanswered < MAX_UNANSWERED:
             await asyncio.sleep(CHECK_S)
-            num_unanswered = num_unanswered + 1 if self.heard_s == heard_s else 0
-            heard_s = self.heard_s
+            num_unanswered = 0 if self._is_heard else num_unanswered + 1
+            self._is_heard = False
             if num_unanswered and self.state is State.OPEN:  # without waiting for the answer
                 self.protocol.send_ping(b"")
                 self.send_data()
@@ -212,8 +204,7 @@ async def open_websocket(url: str, subprotocol: str = SUBPROTOCOL) -> RelayWebso
             # One message in the library; more only once the kernel has taken it. With 0, TLS of
             # the standard library would wait without end.
             write_limit=1,
-            ping_interval=None if subprotocol == SUBPROTOCOL else PING_S,
-            ping_timeout=PING_S,
+            ping_interval=None if subprotocol == SUBPROTOCOL else 10,  # a call has `watch`
             close_timeout=CLOSE_TIMEOUT_S,
             open_timeout=OPEN_TIMEOUT_S,
             proxy=proxy_of(url),
