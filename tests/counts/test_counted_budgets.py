@@ -113,10 +113,9 @@ class CountedRenderer(Renderer):
         self._num_images = 0
 
     def update_maps(self, slot: str, *maps: Any) -> None:
-        before = self.bytes_uploaded(slot)
         with calls_counted(self._sums):
             super().update_maps(slot, *maps)
-        self._sums["bytes_uploaded"] += self.bytes_uploaded(slot) - before
+        self._sums["bytes_uploaded"] += sum(each.nbytes for each in maps if each is not None)
 
     def count(
         self, placements: Sequence[Placement], camera: Camera, room: Room = EMPTY_ROOM

@@ -234,11 +234,6 @@ class Renderer(Closing):
         entry.version = self._next_version()
         return entry.maps.targets()
 
-    def bytes_uploaded(self, slot: str) -> int:
-        """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
-        entry = self._slots.get(slot)
-        return entry.maps.bytes_written if entry and entry.maps else 0
-
     def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a baseline's decoder made; see `TexturedHead.update`."""
         entry = self._slots.get(slot)

@@ -118,16 +118,6 @@ def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:
     return left, top, right_px, bottom
 
 
-def overlap(first: Rect, second: Rect) -> bool:
-    """Whether two rectangles (left, top, right, bottom) have a part in common."""
-    return (
-        first[0] < second[2]
-        and second[0] < first[2]
-        and first[1] < second[3]
-        and second[1] < first[3]
-    )
-
-
 def common_px(first: Rect, second: Rect) -> float:
     """The area that two rectangles share."""
     width = min(first[2], second[2]) - max(first[0], second[0])

@@ -14,7 +14,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from pica_client.call.status import CallStatus, notices
-from pica_client.render.scene import NEAR_M, Rect, common_px, overlap
+from pica_client.render.scene import NEAR_M, Rect, common_px
 from pica_client.render.seats import FreeShares
 from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
@@ -232,7 +232,7 @@ def _room(
         if other is not own and abs(other.top_px - top) < least_px[1] + gap:
             half = min(half, abs(other.x_px - x) / 2 - gap)
     for face in faces:
-        if overlap((x - half, top, x + half, bottom), face):
+        if common_px((x - half, top, x + half, bottom), face) > 0:
             half = min(half, max(face[0] - gap - x, x - face[2] - gap))
     if own not in shown or 2 * half < least_px[0] or bottom + gap > camera.height:
         return None

@@ -1,4 +1,4 @@
-"""Seats, views and the part of the screen a head may cover."""
+"""Poses, views, both eyes, and the part of the screen that a head may cover."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ from pica_client.render.scene import (
     screen_rects,
     view_direction,
 )
-from pica_client.render.seats import (
-    plan_seats,
-)
+from pica_client.render.seats import LAYOUTS, Layout, plan_seats
 from pica_client.render.views import (
     MAX_ZOOM,
     MIN_ZOOM,
     OrbitLimits,
     ViewState,
     plan_camera,
+    stereo_cameras,
 )
 from pica_core.avatar.bust import box_corners
 from pica_core.camera import Camera
@@ -50,15 +49,6 @@ def view_camera(view: ViewState, count: int, width: int, height: int) -> Camera:
 
 BOX_LOW, BOX_HIGH = (-0.1, -0.15, -0.1), (0.1, 0.15, 0.1)
 small = st.floats(-3, 3, allow_nan=False)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 5])
-def test_every_seat_of_the_arc_faces_the_viewer_from_about_the_same_distance(count: int) -> None:
-    plan = plan_seats("line", count, WIDE)
-    ways = plan.camera_m - [seat[:3, 3] for seat in plan.seats]
-    distances = np.linalg.norm(ways, axis=1)
-    np.testing.assert_allclose([seat[:3, 2] for seat in plan.seats], ways / distances[:, None])
-    assert distances.max() < 1.12 * distances.min()
 
 
 @given(x=small, y=small, z=small)
@@ -175,3 +165,40 @@ def test_a_head_behind_the_camera_covers_nothing_and_cannot_be_clicked() -> None
     assert head_rect_px(camera, behind) is None
     placement = Placement(slot="p", world_from_head=behind)
     assert pick_head([placement], camera, 480, 270) is None
+
+
+EYE = (640, 720)
+
+
+@given(
+    layout=st.sampled_from(LAYOUTS),
+    yaw=st.floats(-3, 3),
+    pitch=st.floats(-1.3, 1.3),
+    distance_m=st.floats(0, 0.2),
+)
+def test_the_eyes_are_their_distance_apart_and_look_the_same_way(
+    layout: Layout, yaw: float, pitch: float, distance_m: float
+) -> None:
+    camera = plan_camera(plan_seats(layout, 5, 0.9), ViewState(yaw=yaw, pitch=pitch), *EYE)
+    left, right = stereo_cameras(camera, distance_m, 1.3)
+    apart = right.centre_m - left.centre_m
+    np.testing.assert_allclose(apart, distance_m * camera.rotation[0], atol=1e-9)
+    np.testing.assert_allclose((left.centre_m + right.centre_m) / 2, camera.centre_m, atol=1e-9)
+    np.testing.assert_array_equal(left.rotation, right.rotation)
+
+
+def test_what_is_as_far_as_the_screen_is_at_one_place_in_both_eyes() -> None:
+    plan = plan_seats("line", 5, EYE[0] / EYE[1])
+    camera = plan_camera(plan, ViewState(yaw=0.3, pitch=0.2), *EYE)
+    screen_m = float(np.linalg.norm(plan.target_m - camera.centre_m))
+    left, right = stereo_cameras(camera, 0.063, screen_m)
+    forward = camera.rotation[2]
+    for far_m, sign in ((screen_m, 0), (0.7 * screen_m, 1), (2 * screen_m, -1)):
+        for up in (-0.2, 0.0, 0.3):
+            point = camera.centre_m + far_m * forward + up * camera.rotation[1]
+            (x_left, y_left), _ = left.project(point)
+            (x_right, y_right), _ = right.project(point)
+            assert y_left == pytest.approx(y_right, abs=1e-6)
+            # What is nearer is further right for the left eye.
+            difference = x_left - x_right
+            assert difference == pytest.approx(0, abs=1e-6) if not sign else difference * sign > 1

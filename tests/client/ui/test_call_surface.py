@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pica_client.render.scene import Rect, head_matrix, overlap
+from pica_client.render.scene import Rect, common_px, head_matrix
 from pica_client.render.seats import LAYOUTS, Layout, plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_client.ui.call_surface import FACE_HIGH_M, FACE_LOW_M, HALF_WIDTH_M, place_labels
@@ -85,10 +85,10 @@ def test_no_name_covers_a_face_or_another_name_or_leaves_the_picture(
         assert right - left <= max(widest, LEAST_PX[0] + 0.1)
         for other in heads:
             face = face_px(other, camera)
-            assert face is None or not overlap(room, face)
+            assert face is None or common_px(room, face) == 0
         plates.append((left, top, right, top + LEAST_PX[1]))
     for first, second in combinations(plates, 2):
-        assert not overlap(first, second)
+        assert common_px(first, second) == 0
 
 
 def test_who_is_hidden_or_off_the_picture_has_no_name() -> None:
