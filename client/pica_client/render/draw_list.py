@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
-from pica_client.render.gpu_avatar import Body, Mesh
-from pica_client.render.gpu_maps import HeadMaps
+from pica_client.render.gpu_avatar import Body, HeadMaps, Mesh
 from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.layers import PixelRect, area_px, common_part, viewport
 from pica_client.render.scene import FAR_M, NEAR_M, Placement, Rect, screen_rects

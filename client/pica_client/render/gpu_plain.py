@@ -8,7 +8,6 @@ import numpy as np
 from pica_client.render.gpu_avatar import Body, Mesh, static_vertices
 from pica_client.render.gpu_program import clamp
 from pica_core.avatar.bust import WHOLE_M, box_corners, fade_heights_m, outline_of
-from pica_core.errors import ShapeError
 from pica_core.reference import BaselineAvatar
 from pica_core.sampling import order_faces
 from pica_core.types import FloatArray
@@ -104,9 +103,9 @@ class TexturedHead:
         *,
         fades: bool = False,
     ) -> None:
-        self._num_vertices, side = len(avatar.vertex_uv), avatar.spec.texture_size
-        self._positions = context.buffer(reserve=12 * self._num_vertices, dynamic=True)
-        corners = np.concatenate([avatar.vertex_uv, np.ones((self._num_vertices, 1))], axis=1)
+        count, side = len(avatar.vertex_uv), avatar.spec.texture_size
+        self._positions = context.buffer(reserve=12 * count, dynamic=True)
+        corners = np.concatenate([avatar.vertex_uv, np.ones((count, 1))], axis=1)
         uv = context.buffer(np.ascontiguousarray(corners, np.float32).tobytes())
         faces = order_faces(avatar.faces, avatar.vertex_uv)
         vertices = context.vertex_array(
@@ -135,18 +134,7 @@ class TexturedHead:
         Args:
             vertices_m: Head frame, metres. float32 ``[V, 3]``.
             texture: RGB, 0..1. float32 ``[T, T, 3]``; stored with 8 bits, which draw fastest.
-
-        Raises:
-            ShapeError: Other shapes or types.
         """
-        for name, array, wanted in (
-            ("vertices_m", vertices_m, (self._num_vertices, 3)),
-            ("texture", texture, (*self._rgba.shape[:2], 3)),
-        ):
-            if array.shape != wanted or array.dtype != np.float32:
-                raise ShapeError(
-                    f"{name} is {array.dtype} {array.shape}; float32 {wanted} is needed"
-                )
         self._positions.write(np.ascontiguousarray(vertices_m))
         steps = np.nan_to_num(texture, nan=0.0, posinf=1.0, neginf=0.0)
         self._rgba[..., :3] = np.clip(steps, 0.0, 1.0) * 255.0 + 0.5

@@ -40,8 +40,7 @@ from pica_client.render.draw_list import (
     count_draws,
     list_heads,
 )
-from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
-from pica_client.render.gpu_maps import HeadMaps
+from pica_client.render.gpu_avatar import HeadMaps, WeightsPlace, upload_avatar
 from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.layers import (

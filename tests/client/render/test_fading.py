@@ -6,7 +6,6 @@ import moderngl
 import numpy as np
 import pytest
 
-from helpers.painted import painted_head
 from pica_client.avatars.library import shipped_avatar_files
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodedMaps
@@ -130,27 +129,6 @@ def test_of_neighbours_who_fade_at_one_height_the_nearer_one_is_seen(
     fading = (head == 0) & (surface_m[..., 1] < fade_heights_m(bust_of(person[0]).lower_m)[1])
     picture(renderer, REST, behind)
     assert (renderer.read_surface()[2][fading] == 0).all()
-
-
-def test_a_textured_head_fades_as_a_decoded_one(context: moderngl.Context) -> None:
-    low, high = -0.27, 0.14
-    corners = np.array([[-0.1, low, 0], [0.1, low, 0], [0.1, high, 0], [-0.1, high, 0]], np.float32)
-    mesh = painted_head(
-        vertex_uv=np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32),
-        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-        low_m=(-0.2, low, -0.1),
-        high_m=(0.2, high, 0.1),
-        texture_size=8,
-    )
-    pictures = []
-    for options in (FADING, SHARP):
-        renderer = Renderer(context, SIZE, options)
-        renderer.add_textured("p", mesh)
-        renderer.update_textured("p", corners, np.ones((8, 8, 3), np.float32))
-        pictures.append(picture(renderer, REST))
-    room = picture(renderer)
-    covered = (pictures[1] != room).any(axis=2)
-    assert_fades(pictures[0], pictures[1], room, covered)
 
 
 def test_a_room_is_drawn_anew_only_when_it_looks_different(context: moderngl.Context) -> None:

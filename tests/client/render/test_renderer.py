@@ -57,13 +57,6 @@ def some_maps(avatar: Avatar, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
     return maps.position_map, maps.expression_map
 
 
-def gpu_objects() -> set[int]:
-    """Every GL object that Python holds, by identity."""
-    kinds = (moderngl.Texture, moderngl.Buffer, moderngl.Framebuffer, moderngl.VertexArray)
-    # By type and not isinstance: that asks objects for their class, and torch has some that warn.
-    return {id(item) for item in gc.get_objects() if type(item) in kinds}
-
-
 def renderer_with(
     context: moderngl.Context,
     *avatars: Avatar,

@@ -263,12 +263,3 @@ def test_a_textured_head_shows_its_texture_where_the_other_kind_would_be(
     np.testing.assert_allclose(image[inside][:, :2], uv[inside], atol=0.012)
     assert stats.num_avatars == 1
     assert stats.textured_pixels == pytest.approx((heads == 0).sum(), rel=0.05)
-
-
-def test_a_textured_head_of_another_size_is_refused(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with_texture(context, maps)
-    _, vertices, texture = textured_toy()
-    with pytest.raises(ShapeError, match=r"vertices_m is float32 \(10, 3\)"):
-        renderer.update_textured("painted", vertices[:10], texture)
-    with pytest.raises(ShapeError, match=r"texture is float64"):
-        renderer.update_textured("painted", vertices, texture.astype(np.float64))

@@ -136,13 +136,6 @@ def test_of_a_head_half_behind_another_about_half_is_hidden() -> None:
     assert hidden <= share + 0.02  # rather too little hidden than too much
 
 
-def test_of_five_overlapping_heads_the_nearest_alone_is_whole() -> None:
-    heads = [head(f"h{i}", x=0.03 * i, z=-0.25 * i) for i in range(5)]
-    hidden = [hidden_share(heads, each) for each in heads]
-    assert hidden[0] == 0
-    assert min(hidden[1:]) > 0.5
-
-
 def test_a_one_pixel_avatar_is_seen_and_a_smaller_one_is_not() -> None:
     tall = 2 * math.tan(math.radians(20)) / SIZE[1]  # metres of a pixel at one metre
     depth = 0.3 / (2 * tall)
