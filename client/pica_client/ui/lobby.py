@@ -184,11 +184,11 @@ class Lobby(Closing):
             form.outcome = "leave"
         return form.outcome != "leave"
 
-    def wait(self, what: str, is_over: Callable[[], bool]) -> bool:
-        """Say what is being waited for until it is over, True, or until the user does not want to
-        wait any longer."""
-        while not is_over():
-            if self._frame(lambda: connecting_panel(what)) or self._wants_close:
+    def wait(self, is_connected: Callable[[], bool]) -> bool:
+        """Say that the call is being connected until it is, True, or the user does not want to wait
+        any longer."""
+        while not is_connected():
+            if self._frame(connecting_panel) or self._wants_close:
                 return False
         return True
 
@@ -245,8 +245,8 @@ def join_panel(form: JoinForm) -> None:
             form.outcome = "leave"
 
 
-def connecting_panel(what: str) -> bool:
-    """Say what is being waited for; return True once the user does not want to wait."""
+def connecting_panel() -> bool:
+    """Say that the call is being connected; return True once the user does not want to wait."""
     columns, rows = screen()
     with widgets.card("connecting", (columns / 2, rows / 2), pivot=(0.5, 0.5)):
         accent = imgui.ImColor(*TONES["accent"])
@@ -254,7 +254,7 @@ def connecting_panel(what: str) -> bool:
         imspinner.spinner_ang("spinner", px(9), px(3), accent, clear, speed=5.0, angle=4.2)
         imgui.same_line()
         imgui.align_text_to_frame_padding()
-        imgui.text_unformatted(what)
+        imgui.text_unformatted("Connecting …")
         is_cancelled = widgets.action_button("Cancel", width=px(CANCEL_PT))
     return is_cancelled or imgui.is_key_pressed(imgui.Key.escape, repeat=False)
 

@@ -237,7 +237,7 @@ def stay(
         if lobby is None:
             while not is_ready():
                 time.sleep(POLL_S)
-        elif not lobby.wait("Connecting …", is_ready):
+        elif not lobby.wait(is_ready):
             return None
         plays = sound if hearing is not None or voice is sound else None
         window = None if lobby is None else lobby.window
