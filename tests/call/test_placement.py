@@ -12,8 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from simnet.nats_server import NatsServer, needs_nats
-from simnet.relays import Person, RelayProcess, person, running_relays, start_relay, until
+from simnet.relays import (
+    NatsServer,
+    Person,
+    RelayProcess,
+    needs_nats,
+    person,
+    running_relays,
+    start_relay,
+    until,
+)
 
 pytestmark = [pytest.mark.realtime, needs_nats]
 

@@ -5,8 +5,7 @@ import re
 
 import pytest
 
-from helpers.paths import ROOT
-from helpers.script import load_script
+from helpers.paths import ROOT, load_script
 from pica_command.main import main
 
 pytestmark = pytest.mark.unit

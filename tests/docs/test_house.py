@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from helpers.script import load_script
+from helpers.paths import load_script
 
 pytestmark = pytest.mark.unit
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.paths import ROOT
-from helpers.script import load_script
+from helpers.paths import ROOT, load_script
 
 pytestmark = pytest.mark.unit
 

@@ -1,21 +1,76 @@
-"""Relays as processes, and people in a call who find another relay when theirs dies.
+"""Relays and NATS as processes, and people in a call who find another relay when theirs dies.
 
 Real processes, a real NATS, real links: nothing here is simulated, so times are the machine's.
 """
 
 import asyncio
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
 import urllib.request
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+
+import pytest
 
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.messages import Joined, PeerJoined, PeerLeft, Track
 from pica_protocol.session import ClientEvent
+
+PROGRAM = shutil.which("nats-server") or shutil.which("nats-server", path="/usr/sbin")
+INSTALL = "install it with: sh scripts/system_libraries.sh --nats"
+
+needs_nats = pytest.mark.skipif(PROGRAM is None, reason=f"nats-server is not here; {INSTALL}")
+
+
+class NatsServer:
+    """One server; what it stores outlives a restart.
+
+    Attributes:
+        url: Where it listens.
+    """
+
+    def __init__(self, folder: Path, *, jetstream: bool = True) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.url = f"nats://127.0.0.1:{self.port}"
+        self._folder = folder
+        self._jetstream = jetstream
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start, or start again, and wait until it listens."""
+        assert PROGRAM is not None
+        words = [PROGRAM, "-a", "127.0.0.1", "-p", str(self.port)]
+        if self._jetstream:
+            words += ["-js", "-sd", str(self._folder)]
+        self._process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 10
+        while time.monotonic() < deadline:
+            try:
+                with socket.create_connection(("127.0.0.1", self.port), 1) as probe:
+                    probe.recv(16)
+                    return
+            except OSError:
+                time.sleep(0.02)
+        raise AssertionError("nats-server does not listen")
+
+    def empty(self) -> None:
+        """Forget what it has stored; it must not run."""
+        shutil.rmtree(self._folder)
+
+    def stop(self) -> None:
+        """Kill it."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
 
 PATIENCE_S = 15.0
 

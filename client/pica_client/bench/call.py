@@ -22,7 +22,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeRequest
 from pica_client.endpoint import Receiver
-from pica_client.errors import CallProcessError, OptionError
+from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.processes import Children
 from pica_client.playout.buffer import FLOOR_S
@@ -53,8 +53,7 @@ class BenchConfig:
     """Measured time, seconds."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.seconds <= 600:
-            raise OptionError(f"seconds is {self.seconds:g}; above 0 and at most 600 is allowed")
+        check_ranges(self, seconds=(0.1, 600))
 
 
 class _Frame(NamedTuple):

@@ -8,7 +8,7 @@ sees no face, it holds, eases to rest, and then there is none; it comes back wit
 
 import math
 from bisect import bisect_right
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -260,13 +260,11 @@ class LiveFace:
     """One person's face, fed by a tracker.
 
     Attributes:
-        counters: Of samples "taken" and "out of order", and of "clock jumps".
         calibration: What is done to each sample; may be replaced at any time.
         recent: The latest samples with a face as the tracker sent them, to calibrate by.
     """
 
     def __init__(self, calibration: Calibration | None = None) -> None:
-        self.counters: Counter[str] = Counter()
         self.calibration = calibration or Calibration()
         self.recent: deque[FloatArray] = deque(maxlen=RECENT_SAMPLES)
         self._smoother, self._seat = Smoother(), Seat()
@@ -288,9 +286,7 @@ class LiveFace:
         """
         seen_s = self._on_our_clock(sample.tracker_s, arrived_s)
         if self._times_s and seen_s <= self._times_s[-1]:
-            self.counters["out of order"] += 1
             return
-        self.counters["taken"] += 1
         if not sample.has_face:
             self._lost_s = seen_s if self._lost_s is None else self._lost_s
             return
@@ -370,7 +366,6 @@ class LiveFace:
             return arrived_s
         way_s = arrived_s - tracker_s
         if self._ways_s and abs(way_s - min(self._ways_s)) > CLOCK_JUMP_S:
-            self.counters["clock jumps"] += 1
             self._ways_s.clear()
         self._ways_s.append(way_s)
         return max(tracker_s + min(self._ways_s), arrived_s - MAX_WAY_S)

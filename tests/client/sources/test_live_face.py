@@ -52,11 +52,10 @@ def test_a_steady_movement_stays_steady_however_its_samples_arrive() -> None:
     assert 0 < face.delay_s <= MAX_DELAY_S
 
 
-def test_samples_out_of_order_are_dropped_and_counted() -> None:
+def test_samples_out_of_order_are_dropped() -> None:
     face = LiveFace()
     feed(face, 0, 30, jawOpen=0.3)
     face.push(TrackerSample(tracker_s=1000.1, arkit=values(jawOpen=1.0)), 0.6)
-    assert face.counters["out of order"] == 1
     assert face.face_at(0.6).arkit[JAW] < 0.4
 
 
@@ -89,7 +88,6 @@ def test_a_tracker_whose_clock_is_set_anew_goes_on() -> None:
     for index in range(60, 120):
         sample = TrackerSample(tracker_s=index * STEP_S, arkit=values(jawOpen=0.6))
         face.push(sample, index * STEP_S + 0.01)
-    assert face.counters["clock jumps"] == 1
     assert face.face_at(2.0).arkit[JAW] == pytest.approx(0.6, abs=0.02)
 
 

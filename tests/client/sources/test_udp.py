@@ -83,7 +83,7 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
             ("127.0.0.1", tracker.port),
         )
         until(lambda: tracker.subjects["Ada"] == 1)
-        assert tracker.face.counters["taken"] == tracker.subjects["Ben"]
+        assert len(tracker.face.recent) == tracker.subjects["Ben"]
 
 
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
@@ -92,7 +92,7 @@ def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None
     with closing(UdpTracker(here, decoder_of("ifacialmocap"))) as tracker:
         line = tracker_packets.ifacialmocap({"jawOpen": 60})
         phone.sendto(line, ("127.0.0.1", tracker.port))
-        until(lambda: tracker.face.counters["taken"] == 1)
+        until(lambda: len(tracker.face.recent) == 1)
     assert options.phone == "127.0.0.2"
     assert (options.port, options.request[:12]) == (49983, b"iFacialMocap")
 
@@ -124,7 +124,7 @@ def test_the_first_address_is_the_tracker_until_it_is_silent(phone: socket.socke
         )
         until(lambda: bool(tracker.refused))
         assert tracker.sender == "127.0.0.1"
-        assert tracker.face.counters["taken"] == tracker.subjects["me"]
+        assert len(tracker.face.recent) == tracker.subjects["me"]
 
 
 def test_a_tracker_in_the_wrong_mode_is_told_so(

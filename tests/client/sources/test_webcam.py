@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from pica_client.errors import SourceError
 from pica_client.sources import networks as model
@@ -107,12 +108,8 @@ def test_the_larger_of_two_faces_is_followed(
 
 def drawn(head: FloatArray, rotation: FloatArray, width: int, height: int) -> FloatArray:
     """Landmarks of a turned head as the network would give them: 100 pixels a unit."""
-    angle = float(np.linalg.norm(rotation))
-    axis = rotation / max(angle, 1e-9)
-    cross = np.cross(np.eye(3), axis)
-    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     landmarks = np.zeros((478, 3), np.float32)
-    placed = head @ turn.T * 100
+    placed = Rotation.from_rotvec(rotation).apply(head) * 100
     landmarks[INDICES] = placed * [1, -1, -1 / 0.8] + [width / 2 + 90, height / 2 - 60, 0]
     return landmarks
 
