@@ -1,10 +1,11 @@
 """The `pica` command: finds a sub-command in the table, loads it alone, and reports how it ended.
 
 Exit status: 0 done; 2 bad usage or bad input (any exception with an ``exit_code``, or a missing
-extra); 1 a failure, or a result whose ``ok`` is false; 130 stopped by Ctrl-C; 141 the reader of the
-output has gone, as after ``| head``.
+extra); 1 a failure, a result whose ``ok`` is false, or no room for the output; 130 stopped by
+Ctrl-C; 141 the reader of the output has gone, as after ``| head``.
 """
 
+import errno
 import json
 import os
 import re
@@ -16,8 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
-
-from platformdirs import PlatformDirs
 
 from pica_command.table import (
     COMMANDS,
@@ -33,6 +32,8 @@ DEBUG_FLAG: Final = "--debug"
 JSON_FLAG: Final = "--json"
 CONFIG_VARIABLE: Final = "PICA_CONFIG"
 """Names another file than the user's."""
+UNWRITTEN: Final = (errno.EPIPE, errno.ENOSPC)
+"""What output that nobody reads, or for which there is no room, ends with."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,10 +41,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         status = _run_and_report(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()
-    except BrokenPipeError:  # the rest of the output goes nowhere, so that no flush complains
-        for stream in (sys.stdout, sys.stderr):
+    except OSError as error:  # the rest of the output goes nowhere, so that no flush complains
+        is_unread = isinstance(error, BrokenPipeError)
+        for stream in (sys.stdout, sys.stderr) if is_unread else (sys.stdout,):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-        return 141
+        if not is_unread:
+            print(f"pica: the output cannot be written: {error.strerror}", file=sys.stderr)
+        return 141 if is_unread else 1
     return status
 
 
@@ -55,9 +59,9 @@ def _run_and_report(words: list[str]) -> int:
         result = _run(name, words[len(name.split()) :])
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
-    except BrokenPipeError:
-        raise
     except (Exception, KeyboardInterrupt) as error:
+        if isinstance(error, OSError) and error.errno in UNWRITTEN and error.filename is None:
+            raise
         return _report(error, name, words)
     if JSON_FLAG in words and result is not None:
         print(json.dumps(result), flush=True)
@@ -66,14 +70,14 @@ def _run_and_report(words: list[str]) -> int:
 
 def _run(name: str, words: list[str]) -> Mapping[str, Any] | None:
     """Run a command; None after its help was printed."""
-    from pica_command.options import CommandLine  # the list of commands does without cyclopts
-
-    for variable, text in list(os.environ.items()):
-        if variable.startswith("PICA_") and not text:
-            del os.environ[variable]  # an empty one is not set
-    file = user_file()
-    has_file = CONFIG_VARIABLE in os.environ or file.exists()
     with _nothing_begun():
+        from pica_command.options import CommandLine  # the list of commands does without cyclopts
+
+        for variable, text in list(os.environ.items()):
+            if variable.startswith("PICA_") and not text:
+                del os.environ[variable]  # an empty one is not set
+        file = user_file()
+        has_file = CONFIG_VARIABLE in os.environ or file.exists()
         line = CommandLine(name, COMMANDS[name], file if has_file else None)
         options = line.read(words)
     if options is None:
@@ -84,6 +88,8 @@ def _run(name: str, words: list[str]) -> Mapping[str, Any] | None:
 
 def user_file() -> Path:
     """The TOML file of this user's options; it need not be there."""
+    from platformdirs import PlatformDirs  # until here a signal ends the process as it would any
+
     folder = PlatformDirs(DISTRIBUTION, appauthor=False, roaming=True).user_config_path
     return Path(os.environ.get(CONFIG_VARIABLE) or folder / "pica.toml")
 

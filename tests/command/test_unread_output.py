@@ -1,9 +1,11 @@
-"""A command whose output nobody reads any more, as after ``| head``, ends without a traceback."""
+"""A command whose output nobody reads any more, as after ``| head``, or for which there is no room,
+ends without a traceback."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -25,3 +27,15 @@ def test_output_that_nobody_reads_is_no_traceback(words: str, unread: str) -> No
         assert process.wait(60) in (1, 141)  # 1: rich ends by itself
     assert "Traceback" not in said
     assert "Exception ignored" not in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
+@pytest.mark.parametrize("words", ["--help", "doctor --json"])
+def test_output_for_which_there_is_no_room_is_one_line(words: str) -> None:
+    command = [sys.executable, "-m", "pica_command", *words.split()]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == 1
+    assert "Traceback" not in ended.stderr
+    last = "pica: the output cannot be written: No space left on device"
+    assert ended.stderr.splitlines()[-1] == last

@@ -66,13 +66,14 @@ def running_relay(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]
         process.communicate()
 
 
-def test_a_signal_while_the_relay_is_loaded_ends_it_in_good_order() -> None:
-    early = """
+@pytest.mark.parametrize("module", ["pica_command.options", "pica_server.cli.relay"])
+def test_a_signal_while_the_relay_is_loaded_ends_it_in_good_order(module: str) -> None:
+    early = f"""
 import os, signal, sys
 
 class Early:
     def find_spec(self, name, path=None, target=None):
-        if name == "pica_server.cli.relay":
+        if name == "{module}":
             os.kill(os.getpid(), signal.SIGTERM)
 
 sys.meta_path.insert(0, Early())

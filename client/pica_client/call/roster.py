@@ -315,6 +315,14 @@ _SELF = ""
 """Stands for ourselves among the peer ids."""
 _BARE_MARKS = re.compile("[\u034f\u17b4\u17b5\u180b-\u180f\ufe00-\ufe0f\U000e0100-\U000e01ef]")
 """Marks that leave no ink on their letter either: joiners and variation selectors."""
+_ADDED = re.compile(r"[(\[{<][^)\]}>]*[)\]}>]?|\s+[-–—~•·*|/].*|[,:;].*")
+"""What people add to a name, such as a role."""
+_OF_LETTER = re.compile(
+    "(?:LATIN LETTER SMALL CAPITAL|NEGATIVE .* LATIN CAPITAL LETTER|REGIONAL .* LETTER) ([A-Z])"
+)
+"""Unicode's names of letters in another dress, which its list does not have."""
+_DIGITS = {"8": "B", "5": "S", "2": "Z"}
+"""Digits that look like letters, which its list does not have either."""
 
 
 def name_warnings(peers: Iterable[messages.Peer], own_name: str = "") -> dict[str, str]:
@@ -361,6 +369,8 @@ def _look(character: str) -> str:
     def alike(text: str) -> list[str]:
         return [entry["c"] for entry in confusables_data.get(text, ())]
 
+    named = _OF_LETTER.fullmatch(unicodedata.name(character, ""))
+    character = named[1] if named else _DIGITS.get(character, character)
     # The list pairs each character with the one that stands for its kind, and that with all.
     return max([character, *alike(character)], key=lambda text: (len(alike(text)), text))
 
@@ -368,8 +378,19 @@ def _look(character: str) -> str:
 def _looks(name: str) -> set[str]:
     """Return what a name looks like: two names that share one of these are alike."""
     marked = _BARE_MARKS.sub("", unicodedata.normalize("NFKC", name))
-    inked = [c for c in marked if not draws_nothing(c) or unicodedata.category(c)[0] == "M"]
-    plain = "".join(inked)
+    plain = _letters(_ADDED.sub("", marked)) or _letters(marked) or marked
     # A capital i looks like an l, and a small one is the same name: both are to be found.
     looks = ("".join(map(_look, plain)).casefold(), "".join(map(_look, plain.casefold())))
     return set(filter(None, looks))
+
+
+def _letters(text: str) -> str:
+    """Return the letters and digits of a text, what looks like them, and their marks; empty if it
+    has no letter."""
+
+    def counts(character: str) -> bool:
+        return _look(character)[0].isalnum() and not draws_nothing(character)
+
+    if not any(map(counts, text)):
+        return ""
+    return "".join(c for c in text if counts(c) or unicodedata.category(c)[0] == "M")

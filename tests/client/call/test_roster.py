@@ -212,6 +212,11 @@ def test_people_with_names_of_their_own_get_no_warning() -> None:
         "Ada\u3164",  # a filler
         "Ada\u034f",  # a joiner
         "Ada\ufe0f",  # a variation selector
+        "Ada (host)",
+        "Ada - host",
+        "[Ada]",
+        "\u1d00\u1d05\u1d00",  # small capitals
+        "\U0001f170da \u2605",  # a letter in a square, and a star
     ],
 )
 def test_a_name_that_looks_like_another_is_marked_with_whom_it_looks_like(like_ada: str) -> None:
@@ -219,7 +224,9 @@ def test_a_name_that_looks_like_another_is_marked_with_whom_it_looks_like(like_a
     assert notes(like_ada, own="Ada") == ["looks like your name"]
 
 
-@pytest.mark.parametrize(("one", "other"), [("Ian", "lan"), ("Bob", "B0b"), ("Mom", "Morn")])
+@pytest.mark.parametrize(
+    ("one", "other"), [("Ian", "lan"), ("Bob", "B0b"), ("Bob", "8ob"), ("Mom", "Morn")]
+)
 def test_letters_that_look_alike_within_a_script_are_found_too(one: str, other: str) -> None:
     assert notes(one, other) == [f"looks like {other}", f"looks like {one}"]
 
