@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
 from pica_core.avatar.file import avatar_file, avatar_id, load_avatar
-from pica_core.avatar.spec import decoder_layers, pixel_codec_cost
+from pica_core.avatar.spec import pixel_codec_cost
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
@@ -51,14 +50,7 @@ def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
         "faces": len(avatar.tensors["mesh.faces"]),
         "level_faces": [len(avatar.level_faces(level)) for level in avatar.levels],
         "pixel_decoder": count_parameters(avatar.tensors, "pixel"),
-        "decoders": sum(
-            int(np.prod(shape))
-            for decoder in spec.decoders
-            for layer in decoder_layers(spec, decoder)
-            for shape in layer.tensor_shapes().values()
-        ),
         "encoding": spec.encoding,
-        "encodings": sum(int(np.prod(shape)) for shape in spec.encoding_shapes.values()),
         "decode_mmac": round(pixel_codec_cost(spec).per_object_multiply_adds / 1e6, 2),
         "model_card": dict(manifest.model_card),
     }

@@ -77,10 +77,8 @@ MAX_MOVED_COVER = 32.0
 REACH = 32.0
 """Length of those latents (measured: faces take 10, crowds of random shapes 25)."""
 
-_INDEX_TYPES = {"I32", "U16"}
 _WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
 _STREAM_TYPES = {"I32", "I16", "U16", "U8"}
-_STATIC_TYPES = {"U8"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -329,11 +327,9 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
         shapes[name] = tuple(shape)
     _check_shapes(spec, shapes)
     for name, entry in header.items():
-        allowed = _INDEX_TYPES if is_index(name) else _WEIGHT_TYPES
-        if name.startswith(STREAM_PREFIX):
-            allowed = _STREAM_TYPES
-        if name == STATIC_NAME:
-            allowed = _STATIC_TYPES
+        allowed = {"I32", "U16"} if is_index(name) else _WEIGHT_TYPES
+        if name.startswith((STREAM_PREFIX, STATIC_NAME)):
+            allowed = {"U8"} if name == STATIC_NAME else _STREAM_TYPES
         if (stored := str(entry.get("dtype"))) not in allowed:
             raise ValueError(
                 f"tensor {name} is stored as {stored:.20}; allowed are {', '.join(sorted(allowed))}"

@@ -48,19 +48,6 @@ def vertex_normals(points: FloatArray, faces: IntArray) -> Float64Array:
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
 
 
-def spread_samples(count: Int64Array) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """So many samples of each triangle, spread evenly: triangle and two barycentric weights.
-
-    The weights follow the R2 sequence (Roberts 2018), folded into the triangle.
-    """
-    which = np.repeat(np.arange(len(count)), count)
-    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
-    u = (0.5 + order * 0.7548776662466927) % 1.0
-    v = (0.5 + order * 0.5698402909980532) % 1.0
-    fold = u + v > 1
-    return which, np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
-
-
 def components(faces: Array, count: int) -> Int64Array:
     """Label of each vertex's connected component. int64 ``[count]``."""
     start, end = edges(faces).T
@@ -151,10 +138,18 @@ class FrontView:
 def _samples(
     points: Float64Array, faces: IntArray, spacing: float
 ) -> tuple[Int64Array, Float64Array]:
-    """Points spread evenly over triangles: face ``[n]`` and barycentric weights ``[n, 3]``."""
+    """Points spread evenly over triangles: face ``[n]`` and barycentric weights ``[n, 3]``.
+
+    The weights follow the R2 sequence (Roberts 2018), folded into the triangle.
+    """
     count = np.ceil(areas(points, faces) / spacing**2) + 1
     count = np.maximum(count * min(1.0, MAX_SAMPLES / count.sum()), 1).astype(np.int64)
-    which, u, v = spread_samples(count)
+    which = np.repeat(np.arange(len(count)), count)
+    order = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    u = (0.5 + order * 0.7548776662466927) % 1.0
+    v = (0.5 + order * 0.5698402909980532) % 1.0
+    fold = u + v > 1
+    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
     return which, np.stack([1 - u - v, u, v], 1)
 
 

@@ -14,7 +14,7 @@ on average over faces and views. Pose units are 2⁻¹⁴ radians and 2⁻¹⁴ 
     analysis        int16   [256, K] latent to coefficients, after a shift of 16 bits
     synthesis       int16   [K, 256] coefficients to latent, after `synthesis_shift` bits
     synthesis_shift int32   [1]
-    table_index     uint8   [K, 6]   which of `coefficient_tables`, by coefficient and context
+    table_index     uint8   [K, 6]   which of `coefficient_frequencies`, by coefficient and context
 
 The tables are the same for all avatars: a coefficient is 0 with one chance, and each magnitude is
 so much rarer than the one before. Tables learned for each avatar save 1.6 % of a payload.
@@ -187,12 +187,6 @@ def coefficient_frequencies() -> Int64Array:
     return np.array(rows, np.int64)
 
 
-@cache
-def coefficient_tables() -> tuple[Table, ...]:
-    """The tables of `coefficient_frequencies`."""
-    return tuple(make_table(row) for row in coefficient_frequencies())
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamProfile:
     """See the module for the arrays.
@@ -258,7 +252,7 @@ class StreamProfile:
     @cached_property
     def tables(self) -> tuple[tuple[Table, ...], ...]:
         """Tables of the latent's coefficients, by coefficient and context."""
-        known = coefficient_tables()
+        known = [make_table(row) for row in coefficient_frequencies()]
         return tuple(tuple(known[n] for n in row) for row in self.table_index.tolist())
 
     @cached_property

@@ -242,7 +242,7 @@ def rarity(offsets_m: FloatArray, regions: dict[str, BoolArray]) -> Float64Array
 
 
 IMAGE_CACHE_BYTES = 4 << 30
-"""Decoded images, depth and textures kept in memory; the least recently used go first."""
+"""Decoded images and depth kept in memory; the least recently used go first."""
 DECODERS = 2
 """Threads that decode them, also before they are needed."""
 MAX_TEXTURES = 2048
@@ -261,7 +261,7 @@ class ImageCache:
     def __init__(self, capture: Capture) -> None:
         self._capture = capture
         pixels = max(camera.width * camera.height for camera in capture.cameras)
-        count = IMAGE_CACHE_BYTES // (4 * max(pixels, capture.texture_size**2))
+        count = IMAGE_CACHE_BYTES // (4 * pixels)
         pool = ThreadPoolExecutor(DECODERS, thread_name_prefix="decode")
         self._read: Callable[..., Future[Array]] = lru_cache(max(count, 1))(pool.submit)
         self.camera_names = [camera.name for camera in capture.cameras]
@@ -269,7 +269,6 @@ class ImageCache:
         views = [name for name in self.camera_names if name in named]
         self.evaluation_views = views or self.camera_names
         self._texture = lru_cache(MAX_TEXTURES)(self._texture_of)
-        self._cameras_of = cache(lambda frame: capture.cameras_of(capture.frames[frame]))
         self._head_pose = cache(lambda frame: capture.head_to_world(capture.frames[frame]))
 
     def image(self, frame: int, camera: str) -> Image:
@@ -289,7 +288,7 @@ class ImageCache:
 
     def cameras_of(self, frame: int) -> tuple[str, ...]:
         """Cameras that have an image of a frame."""
-        return self._cameras_of(frame)
+        return self._capture.cameras_of(self._capture.frames[frame])
 
     def expect(self, images: list[tuple[int, str]], *, depth: bool) -> None:
         """Have images decoded while something else goes on."""
@@ -315,8 +314,7 @@ class ImageCache:
         return self._capture.has_depth and (self._capture.path / path).is_file()
 
     def _texture_of(self, frame: int, size: int) -> Tensor:
-        where = self._capture.frames[frame]
-        stored = torch.from_numpy(self._read(self._capture.average_texture, where).result())
+        stored = torch.from_numpy(self._capture.average_texture(self._capture.frames[frame]))
         texture = stored.permute(2, 0, 1)[None].to(torch.float32) / 127.5 - 1
         return resize_texture(texture, size)[0]
 
@@ -360,7 +358,7 @@ class TrainingData:
         self.rarity = rarity(offsets_m, capture.topology.regions)
         self.arkit = torch.zeros(len(capture.frames), NUM_ARKIT)
         if capture.has_expressions:
-            self.arkit = torch.from_numpy(np.stack([capture.arkit(f) for f in capture.frames]))
+            self.arkit = torch.tensor(np.array([frame.arkit for frame in capture.frames]))
 
     def draw(self, count: int, balance: float, rng: np.random.Generator) -> list[int]:
         """Draw training frames, with repetition, rare ones more often by the power `balance`."""

@@ -134,7 +134,7 @@ def _judge_chart(capture: Capture) -> list[str]:
 
 def _judge_face(capture: Capture, frames: Sequence[CaptureFrame]) -> list[str]:
     """A jaw and lids that move, and are seen from the front with something behind them."""
-    values = np.array([capture.arkit(frame) for frame in frames], np.float64)
+    values = np.array([frame.arkit for frame in frames], np.float64)
     vertices_m = np.array([capture.vertices_m(frame) for frame in frames], np.float64)
     moved_m = _moved_by_shapes(values, vertices_m)
     problems = []

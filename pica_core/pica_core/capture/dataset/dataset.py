@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import logging
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,7 +64,6 @@ def describe_published(root: Path) -> tuple[dict[str, Any], tuple[files.CaptureF
     held_out = segments[middle::HELD_OUT_EVERY] if len(segments) > 1 else []
     frames = tuple(
         files.CaptureFrame(
-            index=index,
             listed=index,
             segment=segment,
             name=name,
@@ -194,7 +192,6 @@ class Capture:
         self.path = path
         self.is_published = not where.is_file()
         self._mesh_vertex: Int64Array | slice = slice(None)
-        arkit: FloatArray | None = None
         if self.is_published:
             self.info, frames = describe_published(path)
             topology, self._mesh_vertex, self._num_mesh_vertices = published_topology(path, frames)
@@ -209,7 +206,7 @@ class Capture:
                 path / multiface.TOPOLOGY
             )
             self._num_mesh_vertices = len(self.tracked_topology.vertex_uv)
-            frames, arkit = read_frames(path / multiface.EXPRESSIONS)
+            frames = read_frames(path / multiface.EXPRESSIONS)
         sizes: list[Any] = [self.info.get(name) for name in ("width", "height", "texture_size")]
         if not all(isinstance(size, int) and 0 < size <= 8192 for size in sizes):
             raise CaptureError(
@@ -220,11 +217,11 @@ class Capture:
         self._cameras = {camera.name: camera for camera in self.cameras}
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
-        self.has_expressions = arkit is not None
+        self.has_expressions = frames[0].arkit is not None
         self._listed: dict[Path, frozenset[str]] = {}
-        self._use_frames(frames, arkit)
+        self.frames = self._usable(frames)
 
-    def _use_frames(self, listed: tuple[CaptureFrame, ...], arkit: FloatArray | None) -> None:
+    def _usable(self, listed: tuple[CaptureFrame, ...]) -> tuple[CaptureFrame, ...]:
         problems = [self._incomplete(frame) for frame in listed]
         self.left_out = tuple(problem for problem in problems if problem is not None)
         kept = [frame for frame, problem in zip(listed, problems, strict=True) if problem is None]
@@ -235,8 +232,7 @@ class Capture:
                 "%s: %d of %d frames are left out, the first because of %s",
                 self.path, len(self.left_out), len(listed), self.left_out[0],
             )  # fmt: skip
-        self._arkit = None if arkit is None else arkit[[frame.index for frame in kept]]
-        self.frames = tuple(replace(frame, index=index) for index, frame in enumerate(kept))
+        return tuple(kept)
 
     def _incomplete(self, frame: CaptureFrame) -> str | None:
         """Why a frame cannot be used, from names and sizes alone; None if it can."""
@@ -300,12 +296,6 @@ class Capture:
         if folder not in self._listed:
             self._listed[folder] = frozenset(path.stem for path in folder.glob("*.png"))
         return frame.name in self._listed[folder]
-
-    def arkit(self, frame: CaptureFrame) -> FloatArray:
-        """The frame's shapes in `ARKIT_NAMES` order. float32 ``[52]``."""
-        if self._arkit is None:
-            raise CaptureError(f"{self.path}: no {multiface.EXPRESSIONS}")
-        return self._arkit[frame.index]
 
     def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
         """sRGB image as stored, row 0 on top. uint8 ``[H, W, 3]``."""

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array, IntArray
@@ -39,12 +39,10 @@ MAX_VERTICES = 4_000_000
 """Larger meshes are refused."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CaptureFrame:
     """One moment of a capture."""
 
-    index: int
-    """Place in `Capture.frames`."""
     listed: int
     """Place in the capture's list, of which `Capture.frames` leaves out what cannot be used."""
     segment: str
@@ -53,6 +51,8 @@ class CaptureFrame:
     """Frame name within its take."""
     split: str
     """``train`` or ``test``."""
+    arkit: FloatArray | None = None
+    """Its shapes in `ARKIT_NAMES` order, float32 ``[52]``; None where a capture has none."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -213,15 +213,14 @@ def check_frame_name(where: str, segment: str, name: str, known: Container[Any])
         raise CaptureError(f"{where}: {segment} {name} is there twice")
 
 
-def read_frames(path: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
-    """The frames of a capture with expressions, and their 52 values. float32 ``[T, 52]``."""
+def read_frames(path: Path) -> tuple[CaptureFrame, ...]:
+    """The frames of a capture with expressions."""
     try:
         header, *rows = csv.reader(io.StringIO(multiface.read_text(path)))
         place = [header.index(name) for name in ("segment", "frame", "split", *ARKIT_NAMES)]
     except (csv.Error, ValueError) as error:
         raise CaptureError(f"{path}: not a table of frames ({error})") from error
     frames: dict[tuple[str, str], CaptureFrame] = {}
-    arkit = np.zeros((len(rows), NUM_ARKIT), np.float32)
     for index, row in enumerate(rows):
         where = f"{path}:{index + 2}"
         try:
@@ -233,10 +232,9 @@ def read_frames(path: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
             raise CaptureError(f"{where}: split is {split!r:.40}; train or test is needed")
         if not np.abs(values).max() <= MAX_EXPRESSION:
             raise CaptureError(f"{where}: a value is not finite or beyond {MAX_EXPRESSION}")
-        arkit[index] = values
         check_frame_name(where, segment, name, frames)
         frames[segment, name] = CaptureFrame(
-            index=index, listed=index, segment=segment, name=name, split=split
+            listed=index, segment=segment, name=name, split=split, arkit=values.astype(np.float32)
         )
     train, test = (
         {each.segment for each in frames.values() if each.split == split} for split in SPLITS
@@ -244,7 +242,7 @@ def read_frames(path: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
     if not frames or train & test:
         what = f"segment {min(train & test)} is in both splits" if frames else "no frames"
         raise CaptureError(f"{path}: {what}")
-    return tuple(frames.values()), arkit
+    return tuple(frames.values())
 
 
 ENCODERS = 2

@@ -35,8 +35,7 @@ def test_a_published_directory_is_read_as_it_is(original: Path) -> None:
     assert texture[0].min() == 200
     assert texture[1:].max() == 0
     np.testing.assert_allclose(capture.head_to_world(frame)[:, 3], [0.01, 0.02, 0.03])
-    with pytest.raises(CaptureError, match=r"no expressions\.csv"):
-        capture.arkit(frame)
+    assert frame.arkit is None
 
 
 def test_a_published_mesh_has_a_vertex_for_each_side_of_a_seam(original: Path) -> None:
@@ -74,7 +73,6 @@ def test_bad_frames_are_left_out_and_told_of_once(
         capture = Capture.open(original)
 
     assert len(capture.frames) == 9
-    assert [frame.index for frame in capture.frames] == list(range(9))
     assert len(capture.left_out) == 3
     assert "3 of 12 frames are left out" in caplog.text
     assert "40 bytes; 4 vertices need 48" in capture.left_out[1]

@@ -45,7 +45,7 @@ def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:
     assert {frame.split for frame in capture.frames} == {"train", "test"}
     frame = capture.frames_of("test")[0]
     np.testing.assert_allclose(
-        capture.true_vertices_m(frame), head.vertices(capture.arkit(frame)), atol=2e-6
+        capture.true_vertices_m(frame), head.vertices(frame.arkit), atol=2e-6
     )
     np.testing.assert_array_equal(capture.topology.faces, head.chart.faces)
     assert capture.image(frame, "front").shape == (64, 64, 3)
