@@ -3,12 +3,11 @@
     PicaCoreError
     ├── AvatarFileError     an avatar file that must not be used
     ├── CaptureError        a capture that cannot be read
-    ├── CheckpointError     a checkpoint that does not fit
     ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
     ├── ProfileError        tables of a latent stream that must not be used
     ├── ShapeError          an array of the wrong shape handed to a public function
     ├── GraphicsError       no GL context, or one that is too old
-    ├── TrainingOptionError     an option of a training run that cannot be
+    ├── TrainingError       an option or a checkpoint of a training run that cannot be used
     ├── TrainingDivergedError   losses that are not finite or explode
 
 ``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the
@@ -30,10 +29,6 @@ class AvatarFileError(PicaCoreError):
 
 class CaptureError(PicaCoreError):
     """The capture is incomplete or inconsistent: names the file and the field."""
-
-
-class CheckpointError(PicaCoreError):
-    """The checkpoint is of another model, another version, or damaged."""
 
 
 class LatentError(PicaCoreError, ValueError):
@@ -58,8 +53,8 @@ class TrainingDivergedError(PicaCoreError):
     exit_code = 1
 
 
-class TrainingOptionError(PicaCoreError, ValueError):
-    """An option of a training run is out of range: names it, its value and the limit."""
+class TrainingError(PicaCoreError, ValueError):
+    """An option of a training run is out of range, or a checkpoint of another run: names it."""
 
 
 def check_ranges(

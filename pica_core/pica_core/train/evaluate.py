@@ -76,14 +76,6 @@ def ssim(predicted: Array, observed: Array, covered: BoolArray) -> float:
     return float(similar[covered[box]].mean())
 
 
-def change_mse(predicted: tuple[Array, Array], observed: tuple[Array, Array]) -> float:
-    """Error of the change from one frame to the next: what flickers, or moves too late. Colours of
-    the same pixels in two frames, ``[P, 3]`` each, as predicted and as seen."""
-    before, after = (np.asarray(part, np.float64) for part in predicted)
-    seen_before, seen_after = (np.asarray(part, np.float64) for part in observed)
-    return float(np.square((after - before) - (seen_after - seen_before)).mean())
-
-
 def bootstrap_interval(values: npt.ArrayLike) -> tuple[float, float]:
     """The 95 % percentile interval of the mean of frames' values ``[T]``, over resamples of them
     with repetition.
@@ -263,7 +255,7 @@ def measure_views(
                 continue
             second = evaluator.draw(later, data.images.camera(after, view))
             seen_after = second.within(data.images.image(after, view))
-            errors.change_mse.append(_change(picture, second, seen, seen_after))
+            errors.change_mse.append(change_mse(picture, second, seen, seen_after))
     measured = {view: errors for view, errors in found.items() if errors.mse}
     if not measured:
         raise CaptureError(
@@ -335,13 +327,13 @@ def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> 
     return off_mm
 
 
-def _change(
+def change_mse(
     first: Picture, second: Picture, seen_first: FloatArray, seen_second: FloatArray
 ) -> float:
-    """Error of the change, over the pixels that both pictures cover."""
+    """Error of the change from one frame to the next, over the pixels that both pictures cover:
+    what flickers, or moves too late. What is seen there is ``[P, 3]`` each."""
     _, before, after = np.intersect1d(
         first.pixels, second.pixels, assume_unique=True, return_indices=True
     )
-    return change_mse(
-        (first.colours[before], second.colours[after]), (seen_first[before], seen_second[after])
-    )
+    change = second.colours[after].astype(np.float64) - first.colours[before]
+    return mse(change, seen_second[after].astype(np.float64) - seen_first[before])

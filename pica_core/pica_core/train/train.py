@@ -28,7 +28,7 @@ import torch
 from torch import nn
 
 from pica_core.avatar.spec import VARIANTS
-from pica_core.errors import CheckpointError, TrainingDivergedError
+from pica_core.errors import TrainingDivergedError, TrainingError
 from pica_core.files import replacing
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
@@ -127,13 +127,12 @@ class Trainer:
 
         Raises:
             TrainingDivergedError: Losses or weights are not finite. The last checkpoint stays.
-            CheckpointError: A checkpoint cannot be written. The one before stays.
+            TrainingError: A checkpoint cannot be written. The one before stays.
         """
         with (self.run_dir / METRICS).open("a") as metrics:
             for note in self.objectives.notes:
                 logger.warning("step %d: %s", self.step, note)
                 self._log(metrics, "note", {"text": note})
-            first, first_s, saved_at = self.step, self.seconds, -1
             while self.step < self.total_steps:
                 phase, _, _ = self.phase_of(self.step)
                 started = time.perf_counter()
@@ -142,19 +141,13 @@ class Trainer:
                 if broken := [name for name, loss in losses.items() if not math.isfinite(loss)]:
                     raise self._diverged(", ".join(broken))
                 if self.step % METRICS_EVERY == 0:
-                    rate = (self.step - first) / max(self.seconds - first_s, 1e-9)
-                    first, first_s = self.step, self.seconds
-                    row = {"phase": phase, "seconds": round(self.seconds, 2)}
-                    row |= {"steps_per_s": round(rate, 3)}
-                    row |= {"left_s": round((self.total_steps - self.step) / rate), **losses}
+                    row = {"phase": phase, "seconds": round(self.seconds, 2), **losses}
                     self._log(metrics, "train", row)
-                if self.step == self.total_steps or self.step % self.config.checkpoint_every == 0:
+                if self.step % self.config.checkpoint_every == 0:
                     self.save()
-                    saved_at = self.step
                 if on_step is not None and not on_step(self.step, phase, losses):
                     break
-            if saved_at != self.step:
-                self.save()
+            self.save()
 
     def train_step(self) -> Losses:
         """Do one step and return its losses."""
@@ -196,7 +189,7 @@ class Trainer:
 
         Raises:
             TrainingDivergedError: Weights are not finite; the checkpoint before stays.
-            CheckpointError: It cannot be written; the one before stays.
+            TrainingError: It cannot be written; the one before stays.
         """
         with torch.no_grad():
             sums = torch.stack([p.sum() for p in self.model.parameters()])
@@ -218,19 +211,19 @@ class Trainer:
         """Go on from the run's checkpoint.
 
         Raises:
-            CheckpointError: None there, damaged, of another version, of other options, or of
+            TrainingError: None there, damaged, of another version, of other options, or of
                 another capture.
         """
         state = read_checkpoint(self.run_dir)
         ours, theirs = asdict(self.config), asdict(state["config"])
         if other := [f"{name} {theirs[name]}" for name in ours if ours[name] != theirs[name]]:
-            raise CheckpointError(
+            raise TrainingError(
                 f"{self.run_dir}: the checkpoint was made with other options "
                 f"({', '.join(other)}); use the same ones, or another --out"
             )
         scale_m, here_m = state["position_scale_m"], self.data.meshes.position_scale_m
         if not math.isclose(scale_m, here_m, rel_tol=SCALE_TOLERANCE):
-            raise CheckpointError(
+            raise TrainingError(
                 f"{self.run_dir}: the checkpoint was made on another capture than "
                 f"{self.data.capture.path} (position scale {scale_m:.6g} m, here {here_m:.6g} m)"
             )
@@ -302,14 +295,14 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write a checkpoint; whatever happens, the file of before or the new one is there, whole.
 
     Raises:
-        CheckpointError: It cannot be written, for example because the disk is full.
+        TrainingError: It cannot be written, for example because the disk is full.
     """
     try:
         with replacing(path) as unfinished:
             torch.save({"version": CHECKPOINT_VERSION, **state}, unfinished)
     except (OSError, RuntimeError) as error:  # torch's writer turns an OSError into RuntimeError
         kept = "the one before is whole" if path.exists() else "there is none yet"
-        raise CheckpointError(f"{path}: checkpoint cannot be written ({error}); {kept}") from error
+        raise TrainingError(f"{path}: checkpoint cannot be written ({error}); {kept}") from error
 
 
 def read_checkpoint(run: Path) -> dict[str, Any]:
@@ -317,15 +310,15 @@ def read_checkpoint(run: Path) -> dict[str, Any]:
     `TrainConfig`.
 
     Raises:
-        CheckpointError: Missing, damaged or of another version.
+        TrainingError: Missing, damaged or of another version.
     """
     path = run / CHECKPOINT
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
-        raise CheckpointError(f"{path}: no checkpoint there") from error
+        raise TrainingError(f"{path}: no checkpoint there") from error
     except Exception as error:  # torch.load raises many types for a damaged file
-        raise CheckpointError(f"{path}: not a readable checkpoint ({error})") from error
+        raise TrainingError(f"{path}: not a readable checkpoint ({error})") from error
     if not isinstance(state, dict) or state.get("version") != CHECKPOINT_VERSION:
-        raise CheckpointError(f"{path}: checkpoint version is not {CHECKPOINT_VERSION}")
+        raise TrainingError(f"{path}: checkpoint version is not {CHECKPOINT_VERSION}")
     return {**state, "config": TrainConfig(**state["config"])}

@@ -16,7 +16,7 @@ import torch
 from helpers.published_capture import SEGMENTS, write_published
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
-from pica_core.errors import CaptureError, CheckpointError, TrainingDivergedError
+from pica_core.errors import CaptureError, TrainingDivergedError, TrainingError
 from pica_core.train.cli.train import ExportOptions, export
 from pica_core.train.config import PAPER, PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
@@ -85,13 +85,13 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(
         raise RuntimeError("No space left on device")
 
     monkeypatch.setattr(torch, "save", fail)
-    with pytest.raises(CheckpointError, match=r"No space left.*the one before is whole"):
+    with pytest.raises(TrainingError, match=r"No space left.*the one before is whole"):
         write_checkpoint(path, state | {"step": 2})
 
     assert read_checkpoint(tmp_path)["step"] == 1
     assert list(tmp_path.iterdir()) == [path]
     path.write_bytes(b"not a checkpoint")
-    with pytest.raises(CheckpointError, match=r"checkpoint\.pt: not a readable checkpoint"):
+    with pytest.raises(TrainingError, match=r"checkpoint\.pt: not a readable checkpoint"):
         read_checkpoint(tmp_path)
 
 

@@ -12,7 +12,7 @@ import torch
 
 from pica_core.avatar.spec import TABLE_1, TABLE_2
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import TrainingOptionError, check_ranges
+from pica_core.errors import TrainingError, check_ranges
 from pica_core.train.config import TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate
@@ -55,9 +55,9 @@ class EvalOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, TrainingOptionError, frames=(1, 1_000_000), threads=(1, 1024))
+        check_ranges(self, TrainingError, frames=(1, 1_000_000), threads=(1, 1024))
         if not self.runs:
-            raise TrainingOptionError("runs is empty; name at least one folder")
+            raise TrainingError("runs is empty; name at least one folder")
 
 
 def eval_runs(options: EvalOptions) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
             print(told, file=sys.stderr)
     wanted = [folder for folder in options.runs if configs[folder].variant in known]
     if not wanted:
-        raise TrainingOptionError(
+        raise TrainingError(
             f"no run is of table {options.table}: its models are {', '.join(known)}"
         )
     captures = {f: options.capture or Path(states[f]["capture"]) for f in wanted}
@@ -104,12 +104,12 @@ def _check_apart(runs: Sequence[tuple[Path, str, Path, TrainConfig]]) -> None:
     folders: dict[Key, Path] = {}
     for capture, identity, folder, config in runs:
         if (other := captures.setdefault(identity, capture)) != capture:
-            raise TrainingOptionError(
+            raise TrainingError(
                 f"{other} and {capture} are two captures of {identity!r}; measure one at a time"
             )
         key = (identity, config.variant, config.block, config.seed)
         if key in folders:
-            raise TrainingOptionError(
+            raise TrainingError(
                 f"{folders[key]} and {folder} are both {config.variant} of {identity!r} with seed "
                 f"{config.seed}; leave one out"
             )

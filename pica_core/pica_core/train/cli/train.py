@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
+from pica_core.errors import CaptureError, TrainingError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
@@ -65,7 +65,7 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         ranges = {"seed": (0, 2**31 - 1), "threads": (1, 1024), "eval_frames": (1, 1_000_000)}
-        check_ranges(self, TrainingOptionError, **ranges)
+        check_ranges(self, TrainingError, **ranges)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -92,7 +92,7 @@ class ExportOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, TrainingOptionError, threads=(1, 1024))
+        check_ranges(self, TrainingError, threads=(1, 1024))
 
 
 def train(options: TrainOptions) -> dict[str, Any]:
@@ -101,13 +101,11 @@ def train(options: TrainOptions) -> dict[str, Any]:
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise TrainingOptionError(
-            f"{options.out}: cannot be made: {error.strerror or error}"
-        ) from error
+        raise TrainingError(f"{options.out}: cannot be made: {error.strerror or error}") from error
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / CHECKPOINT).exists():
-        raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
+        raise TrainingError(f"{options.out}: a run is there already; --resume goes on with it")
     with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
         if options.resume:
             trainer.restore()
@@ -144,7 +142,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
         trainer.restore()
         model = trainer.model
         if not isinstance(model, PixelCodecAvatar):
-            raise TrainingOptionError(f"{options.run}: a baseline is measured, and not exported")
+            raise TrainingError(f"{options.run}: a baseline is measured, and not exported")
         avatar = make_avatar(
             model,
             data,
@@ -172,7 +170,7 @@ def _device(wished: str) -> torch.device:
     """Where to compute."""
     has_gpu = torch.cuda.is_available()
     if wished == "cuda" and not has_gpu:
-        raise TrainingOptionError("device is cuda, but torch finds no GPU here; use cpu or auto")
+        raise TrainingError("device is cuda, but torch finds no GPU here; use cpu or auto")
     if wished == "cpu" or not has_gpu:
         return torch.device("cpu")
     return torch.device("cuda")
@@ -242,13 +240,13 @@ class ClaimOptions:
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, TrainingOptionError, seeds=(1, 100))
+        check_ranges(self, TrainingError, seeds=(1, 100))
         for name in ("captures", "variants"):
             if not getattr(self, name):
-                raise TrainingOptionError(f"{name} is empty; name at least one")
+                raise TrainingError(f"{name} is empty; name at least one")
         names = [path.name for path in self.captures]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise TrainingOptionError(f"captures: two are called {twice[0]!r}; rename one")
+            raise TrainingError(f"captures: two are called {twice[0]!r}; rename one")
 
 
 def bench_claim(options: ClaimOptions) -> dict[str, Any]:
