@@ -126,34 +126,23 @@ def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
     half, exact = _Table(), _Table()
     trunk: list[Pass] = []
     for layer in decoder_layers(spec, "expression"):
-        ins, size = vectors(layer.in_channels), layer.size
         if layer.kind == "conv3":
-            weight, bias = (tensors[f"{layer.name}{part}.weight"] for part in ("", "_bias"))
-            outs = vectors(layer.out_channels)
-            defines = {"SIZE": size, "IN_VECTORS": ins, "WEIGHTS": half.add(_kernels(weight))}
-            defines |= {"BIAS": half.add(_texels(bias))} | ({} if trunk else {"FIRST": 1})
-            trunk.append(
-                Pass(
-                    shader=CONVOLVE,
-                    defines=defines,
-                    columns=outs * size // 2,
-                    rows=size // 2,
-                    table="half",
-                )
-            )
+            shader, rows, outs = CONVOLVE, layer.size // 2, vectors(layer.out_channels)
+            weights = _kernels(tensors[f"{layer.name}.weight"])
+            biases = _texels(tensors[f"{layer.name}_bias.weight"])
         elif layer.kind == "conv1":
-            outs, weight = vectors(layer.out_channels // VECTOR), tensors[f"{layer.name}.weight"]
-            defines = {"SIZE": size, "IN_VECTORS": ins, "WEIGHTS": half.add(_phases(weight))}
-            defines["BIAS"] = half.add(_phase_biases(tensors[f"{layer.name}.bias"]))
-            trunk.append(
-                Pass(
-                    shader=EXPAND if 2 * size < MAP_SIZE else FULL,
-                    defines=defines,
-                    columns=outs * size,
-                    rows=size,
-                    table="half",
-                )
-            )
+            shader = EXPAND if 2 * layer.size < MAP_SIZE else FULL
+            rows, outs = layer.size, vectors(layer.out_channels // VECTOR)
+            weights = _phases(tensors[f"{layer.name}.weight"])
+            biases = _phase_biases(tensors[f"{layer.name}.bias"])
+        else:
+            continue
+        defines = {"SIZE": layer.size, "IN_VECTORS": vectors(layer.in_channels)}
+        defines |= {"WEIGHTS": half.add(weights), "BIAS": half.add(biases)}
+        defines |= {} if trunk else {"FIRST": 1}
+        trunk.append(
+            Pass(shader=shader, defines=defines, columns=outs * rows, rows=rows, table="half")
+        )
     weight, mix = tensors[f"{PREFIX}weight"], tensors[f"{PREFIX}mix"]
     bases = {"IN_VECTORS": NUM_LATENT // VECTOR, "WEIGHTS": exact.add(_blocks(weight))}
     bases["BIAS"] = exact.add(_padded(tensors[f"{PREFIX}bias"], 0))
