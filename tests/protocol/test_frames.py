@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from helpers.strategies import frames
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import (
-    HEADER_BYTES,
     MAX_PAYLOAD_BYTES,
     TICK_MODULUS,
     TICK_US,
@@ -45,18 +44,6 @@ def test_any_bytes_are_frames_or_a_protocol_error(data: bytes) -> None:
 def test_the_longest_frame_fits_a_datagram() -> None:
     frame = Frame(stream=1, sequence=0, captured_us=0, payload=bytes(MAX_PAYLOAD_BYTES))
     assert len(encode_frame(frame)) == MAX_FRAME_BYTES
-
-
-def test_a_header_is_sixteen_bytes_with_the_stream_first() -> None:
-    frame = Frame(
-        stream=0x0102,
-        sequence=0x0304,
-        captured_us=0x0809_0A0B_0C0D_0E0F,
-        payload=b"xyz",
-    )
-    ticks = 0x0809_0A0B_0C0D_0E0F // 100 % 2**21
-    assert encode_frame(frame).hex() == f"01020304{ticks << 11 | 3:08x}78797a"
-    assert HEADER_BYTES == 8
 
 
 @pytest.mark.parametrize(
