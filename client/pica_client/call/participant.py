@@ -1,9 +1,6 @@
 """One peer with a face: what has come of its stream, and the face it makes at display time. Pure.
 
-`call.Call` owns the participants and holds its lock around them. The roster knows who they are; the
-state here is that of the stream:
-
-    JOINING --a frame--> LIVE --nothing is wanted--> PAUSED --something is wanted--> JOINING
+`call.Call` owns the participants and holds its lock around them. The roster knows who they are.
 
 How much is wanted goes up at once and down late, so a head that comes and goes at the edge of the
 screen costs a message or two a second at most, and its stream is there whenever it is seen.
@@ -13,7 +10,6 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from enum import Enum
 from typing import Any, Final
 
 from pica_client.avatars.library import AvatarStore
@@ -43,30 +39,20 @@ Tell = Callable[[Subscribe], bool]
 """Tells the relay; returns False if that was not possible."""
 
 
-class StreamState(Enum):
-    """How a stream stands."""
-
-    JOINING = "joining"
-    """A frame is waited for: the first one, or the first since the stream is wanted again."""
-    LIVE = "live"
-    PAUSED = "paused"
-    """The relay was told to send nothing."""
-
-
 class Participant:
     """One peer with a face, and what has come from it.
 
     Attributes:
         trouble: Why its payloads cannot be read; empty: they can, or none has come.
         played: The face shown last; None before the first.
-        told: The relay sends every so many frames, as far as it was told.
+        told: The relay sends every so many frames, as far as it was told; 0: none.
     """
 
     def __init__(self, member: Member, track: Track) -> None:
         self.member = member
         self.track = track
-        self.state = StreamState.JOINING
         self.playout = Playout()
+        self._is_held = False  # from when nothing is sent until the first frame after it
         self.trouble = ""
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
@@ -108,7 +94,7 @@ class Participant:
     def is_stale(self, now: float) -> bool:
         """Return True if frames are missing for so long that it is to be shown."""
         silent_s = 0.0 if self.last_arrival_s is None else now - self.last_arrival_s
-        return silent_s > STALE_AFTER_S and self.state is not StreamState.PAUSED
+        return silent_s > STALE_AFTER_S and self.told != 0
 
     # How much is wanted
 
@@ -131,24 +117,19 @@ class Participant:
             return  # as while the network takes nothing
         if not is_more:
             self._lowered_s = now
-        self.told, self._lower_s = self._wanted, math.inf
-        if self.told == 0:
-            self.state = StreamState.PAUSED
-        else:
-            self._resume(now)
+        self._lower_s = math.inf
+        self._note_told(self._wanted, now)
 
     def join_again(self, now: float) -> None:
         """Begin a connection: the relay sends everything again, so less is due now."""
-        self.told = 1
         self._lower_s = math.inf if self._wanted == 1 else now
-        self._resume(now)
+        self._note_told(1, now)
 
-    def _resume(self, now: float) -> None:
-        """Let the face stand still until the first frame comes of a stream that was paused."""
-        if self.state is StreamState.PAUSED:
-            self.state = StreamState.JOINING
-            if self.last_arrival_s is not None:
-                self.last_arrival_s = now
+    def _note_told(self, every: int, now: float) -> None:
+        if self.told == 0 and self.last_arrival_s is not None:
+            self.last_arrival_s = now  # until now none was expected
+        self.told = every
+        self._is_held |= every == 0
 
     # The stream
 
@@ -165,10 +146,9 @@ class Participant:
             return None
         assert self._decoder is not None
         sample = self._decoder.decode(frame.payload)
-        if self.state is not StreamState.PAUSED:  # else it was under way when it was unsubscribed
+        if self.told:  # else it was under way when it was unsubscribed
             self.playout.receive(frame, sample, now)
-        if self.state is StreamState.JOINING:
-            self.state = StreamState.LIVE
+            self._is_held = False
         self.last_arrival_s = now
         return sample
 
@@ -186,10 +166,9 @@ class Participant:
         """The face to show now, None before the first one; and whether the stream is stopped on
         purpose: then the face stands still, and nothing is concealed. ``heard_us`` as in
         `Playout.sample_at`."""
-        is_stopped = self.state is not StreamState.LIVE
-        if not is_stopped:
+        if not self._is_held:
             self.played = self.playout.sample_at(now, heard_us)
-        return self.played, is_stopped
+        return self.played, self._is_held
 
     # Statistics
 
