@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import platform
+from dataclasses import replace
 from pathlib import Path
 
 import moderngl
@@ -28,16 +29,24 @@ from pica_client.render.scene import (
 from pica_client.render.seats import plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import Camera, look_at
-from pica_core.sampling import sample_vertices
+from pica_core.reference import decode_pixels
+from pica_core.sampling import sample_bilinear, sample_vertices
 
 pytestmark = pytest.mark.render
 
 SIZE = (160, 120)
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40)
 SISTER = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40, seed=8)
+ENCODED = {
+    name: make_toy_avatar(
+        spec=AvatarSpec(encoding=name, uv_encoding_size=128, axis_encoding_size=300), grid=32
+    )
+    for name in ENCODINGS
+}
 EXACT = RenderOptions(smooth_edges=False)
+UNFILTERED = RenderOptions(smooth_edges=False, filter_encodings=False)
 
 
 def camera_at(*centre_m: float, size: tuple[int, int] = SIZE) -> Camera:
@@ -92,6 +101,36 @@ def test_vertices_lie_where_numpy_looks_them_up(context: moderngl.Context) -> No
     rows, columns = np.nonzero(heads == 0)
     assert abs(pixels[:, 0].min() - columns.min()) < 2
     assert abs(pixels[:, 1].max() - rows.max()) < 2
+
+
+@pytest.mark.parametrize("weights", ["block", "turns"])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_pixel_has_the_colour_that_numpy_computes(
+    context: moderngl.Context, encoding: str, weights: str
+) -> None:
+    avatar = ENCODED[encoding]
+    options = replace(UNFILTERED, weights=weights)  # type: ignore[arg-type]
+    renderer = renderer_with(context, avatar, options=options)
+    renderer.draw([still("p0")], camera_at(0.1, 0.02, 0.5))
+    image = renderer.read_image()
+    xyz_m, uv, heads = renderer.read_surface()
+    covered = heads == 0
+    codes = sample_bilinear(some_maps(avatar)[1], uv[covered], np.float64)
+    rgb = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m[covered], uv[covered], np.float64)
+    wanted = np.clip(rgb, 0, 1) * 255
+    assert covered.sum() > 1000
+    assert np.abs(image[covered].astype(float) - wanted).max() <= 255 * tolerances.PIXEL_GLSL
+
+
+@pytest.mark.parametrize("encoding", ["sinusoids", "axes"])
+def test_what_a_pixel_cannot_resolve_is_averaged(context: moderngl.Context, encoding: str) -> None:
+    roughness = []
+    for options in (EXACT, UNFILTERED):
+        renderer = renderer_with(context, ENCODED[encoding], options=options)
+        renderer.draw([still("p0")], camera_at(0.1, 0.02, 0.5))
+        face = renderer.read_image()[25:87, 53:107].astype(float)
+        roughness.append(np.abs(np.diff(face, axis=1)).mean())
+    assert roughness[0] < roughness[1]
 
 
 def test_a_nearer_head_hides_a_farther_one(context: moderngl.Context) -> None:
