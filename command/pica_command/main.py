@@ -33,7 +33,7 @@ JSON_FLAG: Final = "--json"
 CONFIG_VARIABLE: Final = "PICA_CONFIG"
 """Names another file than the user's."""
 UNWRITTEN: Final = (errno.EPIPE, errno.ENOSPC)
-"""What output that nobody reads, or for which there is no room, ends with."""
+"""The errors of output that has no reader any more, or no room."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -156,51 +156,31 @@ def test_a_file_name_in_the_file_is_found_beside_the_file(write: Callable[[str],
         ("brew = 1", 'key [brew] in "FILE" must be a mapping'),
         ("[brwe]\ncups = 1", "FILE: unknown key brwe"),
         ("cups == 1", "FILE is not a TOML file: "),
+        ("PICA_BREW_CUPS=ten", 'PICA_BREW_CUPS from env: unable to convert "ten" into int'),
+        ("PICA_BREW_CUPS=10", "cups must be in 1..9, got 10"),
+        ("PICA_BREW_LEAF=mint", 'Invalid value "mint" for PICA_BREW_LEAF'),
+        ("PICA_BREW_CUP=1", "unknown environment variable PICA_BREW_CUP"),
+        ("--cups many", 'Invalid value for --cups: unable to convert "many" into int'),
+        ("--cusp 5", "Unknown option: --cusp. Did you mean --cups?"),
+        ("--leaf mint", 'Invalid value "mint" for --leaf. Choose from: "green", "black"'),
+        ("--cups", "--cups requires an argument"),
+        ("--cups 2 kettle noise", "Unused Tokens: ['noise']"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_one_line_with_file_and_key(
+def test_what_is_wrong_in_a_file_a_variable_or_words_is_one_line_that_names_it(
     tmp_path: Path, text: str, complaint: str
 ) -> None:
-    file = tmp_path / "tea.toml"
-    file.write_bytes(text.encode(errors="surrogatepass"))
+    file, words, variables = tmp_path / "tea.toml", [], {}
+    if text.startswith("PICA_"):
+        variables = dict([text.split("=")])
+    elif text.startswith("--"):
+        words = text.split()
+    else:
+        file.write_text(text)
+        words = ["--config", str(file)]
     with pytest.raises(UsageError) as caught:
-        read("--config", str(file))
+        read(*words, **variables)
     assert complaint.replace("FILE", str(file)) in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("variable", "text", "complaint"),
-    [
-        ("PICA_BREW_CUPS", "ten", 'PICA_BREW_CUPS from env: unable to convert "ten" into int'),
-        ("PICA_BREW_CUPS", "10", "cups must be in 1..9, got 10"),
-        ("PICA_BREW_LEAF", "mint", 'Invalid value "mint" for PICA_BREW_LEAF'),
-        ("PICA_BREW_CUP", "1", "unknown environment variable PICA_BREW_CUP"),
-    ],
-)
-def test_what_is_wrong_in_a_variable_is_one_line_with_its_name(
-    variable: str, text: str, complaint: str
-) -> None:
-    with pytest.raises(UsageError) as caught:
-        read(**{variable: text})
-    assert complaint in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["--cups", "many"], 'Invalid value for --cups: unable to convert "many" into int'),
-        (["--cusp", "5"], "Unknown option: --cusp. Did you mean --cups?"),
-        (["--leaf", "mint"], 'Invalid value "mint" for --leaf. Choose from: "green", "black"'),
-        (["--cups"], "--cups requires an argument"),
-        (["kettle", "noise"], "Unused Tokens: ['noise']"),
-    ],
-)
-def test_what_is_wrong_with_words_is_one_line(words: list[str], complaint: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        read(*words)
-    assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

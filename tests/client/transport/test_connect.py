@@ -1,4 +1,4 @@
-"""The pure parts of the shells: percentiles, wire cost, options."""
+"""Where a link leads and under which name, what a refusal means, and where a relay may send it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import pytest
 from pica_client.errors import OptionError
 from pica_client.publish import SenderConfig
 from pica_client.stats import summarise_ms, wire_bytes
-from pica_client.transport.connect import LinkConfig, shown_name
+from pica_client.transport.connect import LinkConfig, refusal_of, refused_redirect, shown_name
+from pica_protocol.errors import CloseCode
+from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit
 
@@ -71,3 +73,47 @@ def test_a_rate_or_duration_out_of_range_is_refused(fps: float, seconds: float) 
 )
 def test_the_name_of_a_join_token_is_the_one_that_is_shown(token: str, name: str) -> None:
     assert shown_name("guest", token) == name
+
+
+@pytest.mark.parametrize("code", [CloseCode.FORBIDDEN, CloseCode.REMOVED, CloseCode.REPLACED])
+def test_what_waiting_cannot_mend_is_final(code: CloseCode) -> None:
+    refused = refusal_of("ws://a", Closed(code=code, reason="no", is_remote=True))
+    assert refused is not None
+    assert not refused.may_pass
+    assert str(refused) == f"ws://a: the relay said no: no (code {code})"
+
+
+@pytest.mark.parametrize(
+    ("target", "complaint"),
+    [
+        ("wss://a.relays.example.org:8443", ""),
+        ("wss://A.relays.example.org/pica/", ""),
+        ("wss://b.relays.example.org/", ""),
+        ("ws://192.0.2.1:9000", ""),
+        ("ws://b.relays.example.org", "neither a host"),  # nothing proves that it is of the domain
+        ("wss://a.relays.example.org/admin?reboot=1", "path"),
+        ("ws://192.0.2.1/?reboot=1", "path"),
+        ("wss://relays.example.org", "neither a host"),
+        ("wss://evil.example", "neither a host"),
+        ("wss://a.relays.example.org.evil.example", "neither a host"),
+        ("ws://127.0.0.1:631", "neither a host"),
+        ("ws://[::1]:8765", "neither a host"),
+        ("ws://169.254.169.254/latest", "path"),
+        ("wss://192.0.2.2", "neither a host"),
+    ],
+)
+def test_a_redirect_leads_to_hosts_of_the_configuration_or_of_the_domain(
+    target: str, complaint: str
+) -> None:
+    config = LinkConfig(url="wss://a.relays.example.org/pica", redirect_hosts=("192.0.2.1",))
+    refused = refused_redirect(target, "ws://192.0.2.1:8765", config)
+    assert complaint in refused
+    assert bool(complaint) is bool(refused)
+
+
+def test_names_without_a_domain_are_no_relatives_and_encryption_is_not_given_up() -> None:
+    for target, url in (("wss://evil.org", "wss://relay.org"), ("wss://relay-b", "wss://relay-a")):
+        assert refused_redirect(target, url, LinkConfig(url=url))
+    config = LinkConfig(url="wss://a.example.org", redirect_hosts=("192.0.2.1",))
+    refused = refused_redirect("ws://192.0.2.1", config.url, config)
+    assert refused == "connections are not encrypted there"
