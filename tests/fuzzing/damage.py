@@ -4,6 +4,7 @@ message is written from headers that are nearly right."""
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Sequence
 from typing import Any, Final
@@ -11,6 +12,7 @@ from typing import Any, Final
 import msgpack
 from hypothesis import strategies as st
 
+from helpers.rig_toy import glb_bytes
 from pica_protocol.codec import CONTROL_KIND
 from pica_protocol.frames import MEDIA_KIND
 
@@ -85,6 +87,16 @@ def damaged_control(draw: st.DrawFn, good: Sequence[bytes]) -> bytes:
         tree = _changed(draw, tree)
     packed: bytes = msgpack.packb(tree, unicode_errors="surrogatepass")
     return bytes([CONTROL_KIND]) + packed[:MAX_BYTES]
+
+
+@st.composite
+def damaged_glb(draw: st.DrawFn, document: Any, binary: bytes) -> bytes:
+    """Draw a .glb file with up to three places of its document changed."""
+    for _ in range(draw(st.integers(1, 3))):
+        document = _changed(draw, document)
+    # Bytes and whatever else JSON cannot hold become texts.
+    text = json.dumps(document, default=repr, skipkeys=True)
+    return glb_bytes(json.loads(text), binary)
 
 
 def _changed(draw: st.DrawFn, value: Any) -> Any:

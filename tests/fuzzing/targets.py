@@ -17,9 +17,10 @@ from typing import Final
 import numpy as np
 from hypothesis import strategies as st
 
-from fuzzing.damage import MEDIA, damaged_bytes, damaged_control
+from fuzzing.damage import MEDIA, damaged_bytes, damaged_control, damaged_glb
 from golden.wire_samples import GOLDEN
 from helpers import tracker_packets
+from helpers.rig_toy import glb_bytes, glb_parts, toy_rig
 from helpers.stream_toy import perform, toy_profile
 from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.frames import decode_header, derive_key, open_, seal
@@ -30,8 +31,11 @@ from pica_client.sources.live_face import PacketError
 from pica_client.sources.registry import LIVE_KINDS, decoder_of
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
+from pica_core.capture.rig.gltf import read_rig
+from pica_core.capture.rig.mesh import build_mesh
+from pica_core.capture.rig.names import map_names
 from pica_core.codec.latent_stream import LatentDecoder
-from pica_core.errors import AvatarFileError, LatentError
+from pica_core.errors import AvatarFileError, CaptureError, LatentError
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import (
@@ -45,6 +49,7 @@ from pica_protocol.frames import (
 
 WAY: Final = ("p1", "p2")
 CODE_KEY: Final = room_key(RoomSecret(bytes(range(32))), "lobby", b"code")
+RIG: Final = glb_parts(toy_rig())
 METADATA: Final = clear_header(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
 
 
@@ -119,9 +124,17 @@ def datagram(data: bytes) -> None:
                 expect(bool(np.isfinite([*known, *sample.rotation]).all()), "an endless face")
 
 
+def rig(data: bytes) -> None:
+    """Read a rig of somebody else's, and make it a head where it is one."""
+    with tempfile.TemporaryDirectory() as folder, suppress(CaptureError):
+        path = Path(folder, "rig.glb")
+        path.write_bytes(data)
+        build_mesh(source := read_rig(path), map_names(list(source.shapes)))
+
+
 TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
     each.__name__: each
-    for each in (message, media, sealed, key_message, avatar_file, bitstream, datagram)
+    for each in (message, media, sealed, key_message, avatar_file, bitstream, datagram, rig)
 }
 
 
@@ -132,6 +145,8 @@ def damaged(name: str, good: list[bytes]) -> st.SearchStrategy[bytes]:
             return damaged_control(good) | damaged_bytes(good)
         case "media":
             return MEDIA | damaged_bytes(good)
+        case "rig":
+            return damaged_glb(*RIG)
     return damaged_bytes(good)
 
 
@@ -155,6 +170,7 @@ def seeds() -> dict[str, list[bytes]]:
         "sealed": [seal(b"face", METADATA, derive_key(bytes(16), 7), 4)],
         "key_message": [encode(told, CODE_KEY, WAY, bytes(32), bytes(16))],
         "avatar_file": [avatar_bytes],
+        "rig": [glb_bytes(*RIG)],
         "bitstream": [sent.payload for sent in perform(num_frames=40)],
         "datagram": [
             tracker_packets.live_link(values, frame=5),
