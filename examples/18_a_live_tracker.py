@@ -54,7 +54,7 @@ async def main() -> None:
         await sending
         stats = sender.stats()
         phone.cancel()
-    print(f"{source.face.counters['taken']} samples came, {stats['sent']} faces went")
+    print(f"{stats['sent']} faces went")
 
 
 asyncio.run(main())
