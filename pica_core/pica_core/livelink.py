@@ -3,13 +3,14 @@
 One header line ``Timecode,BlendShapeCount,EyeBlinkLeft,…``, then one line per tracked frame.
 Columns are found by name (the app writes JawRight before JawLeft, the reverse of its UDP order),
 values are about [0, 1], timecodes are ``HH:MM:SS:FF.fff`` with FF counted at 60 a second whatever
-the frame rate. While there is no face a line may end after its BlendShapeCount of 0.
+the frame rate. While there is no face a line may end after its BlendShapeCount of 0. Spreadsheets
+of some countries write semicolons and decimal commas.
 """
 
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ TIMECODE_FPS = 60.0
 DAY_S = 24 * 3600.0
 MAX_ROWS = 1_000_000
 """Longest recording that is read into memory (chosen: 4.6 hours at 60 fps, about 240 MiB)."""
+MAX_HEADER = 65_536
+"""Longest header, characters (the app's has 1,000)."""
 ANGLES = ("HeadYaw", "HeadPitch", "HeadRoll")
 
 
@@ -52,7 +55,12 @@ def read_livelink_csv(path: Path) -> LiveLinkTake:
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            header, *rows = islice(csv.reader(file), MAX_ROWS + 2)
+            first = file.readline(MAX_HEADER)
+            mark = ";" if ";" in first else ","
+            table = csv.reader(chain([first], file), delimiter=mark)
+            header, *rows = islice(table, MAX_ROWS + 2)
+            if mark == ";":
+                rows = [[value.replace(",", ".") for value in row] for row in rows]
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (UnicodeDecodeError, csv.Error) as error:

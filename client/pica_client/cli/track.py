@@ -112,10 +112,13 @@ class Recorder:
         except OSError as error:
             raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def report(self, trouble: str, refused: Counter[str], subjects: Counter[str]) -> dict[str, Any]:
+    def report(
+        self, kind: str, trouble: str, refused: Counter[str], subjects: Counter[str]
+    ) -> dict[str, Any]:
         """What came, and what would mend it; times in milliseconds, angles in degrees.
 
         Args:
+            kind: The kind of tracker.
             trouble: Why there is no face, as the source says.
             refused: Datagrams that were not the tracker's, by reason.
             subjects: Samples by subject.
@@ -127,6 +130,7 @@ class Recorder:
         count = len(self.samples)
         report = {
             "frames": count,
+            "frames_without_face": count - len(seen),
             "fps": round(1000 / float(gaps_ms.mean()), 2) if gaps_ms.any() else None,
             "gap_ms": _figures(gaps_ms, p50=50, p95=95, max=100),
             "no_face_ratio": round(1 - len(seen) / count, 4) if count else None,
@@ -143,10 +147,10 @@ class Recorder:
             "refused": dict(refused),
             "subjects": dict(subjects),
         }
-        return report | {"hints": _hints(report, trouble, subjects)}
+        return report | {"hints": _hints(report, kind, trouble, subjects)}
 
 
-def _hints(report: dict[str, Any], trouble: str, subjects: Counter[str]) -> list[str]:
+def _hints(report: dict[str, Any], kind: str, trouble: str, subjects: Counter[str]) -> list[str]:
     """What is wrong with a report, each with what mends it."""
     if not report["frames"]:
         return [trouble] if trouble else ["nothing came; run it longer"]
@@ -155,10 +159,9 @@ def _hints(report: dict[str, Any], trouble: str, subjects: Counter[str]) -> list
     if report["no_face_ratio"] > 0.1:
         hints.append("the tracker often sees no face: more light, and look at its camera")
     if report["fps"] is not None and report["fps"] < LOW_FPS:
-        hints.append(
-            f"only {report['fps']:g} samples a second: a cooler phone, or less load, helps"
-        )
-    if report["gap_ms"].get("max", 0) > LONG_GAP_MS:
+        helps = "more light" if kind == "webcam" else "a cooler phone"
+        hints.append(f"only {report['fps']:g} samples a second: {helps}, or less load, helps")
+    if kind != "webcam" and report["gap_ms"].get("max", 0) > LONG_GAP_MS:
         hints.append("gaps above 150 ms: use a cable or 5 GHz Wi-Fi, near to the access point")
     if missing := [name for name in ARKIT_NAMES if name not in shapes]:
         hints.append(f"not sent: {_named(missing)}; they stay at rest")
@@ -166,7 +169,11 @@ def _hints(report: dict[str, Any], trouble: str, subjects: Counter[str]) -> list
     if len(constant) >= MANY_CONSTANT:
         hints.append(f"never move: {_named(constant)}; make faces while this runs")
     head = report["head"]
-    if head and all(each["max"] - each["min"] < CONSTANT for each in head.values()):
+    if (
+        kind != "webcam"
+        and head
+        and all(each["max"] - each["min"] < CONSTANT for each in head.values())
+    ):
         hints.append('the head never turns: switch on "Stream Head Rotation", or the like')
     shifted = [name for name, each in shapes.items() if each["p05"] > SHIFTED_AT_REST]
     if any(not name.startswith(("eyeBlink", "eyeLook")) for name in shifted):
@@ -200,12 +207,15 @@ def track(options: TrackOptions) -> dict[str, Any]:
             while time.monotonic() < end_s:
                 time.sleep(POLL_S)
         trouble = source.trouble
-    result = recorder.report(trouble, source.refused, source.subjects)
+    kind, _ = split_source(options.source)
+    result = recorder.report(kind, trouble, source.refused, source.subjects)
     result |= {"source": options.source, "sender": getattr(source, "sender", "")}
     if options.record is not None:
         recorder.save(options.record)
     sender = f" from {result['sender']}" if result["sender"] else ""
-    say(f"{result['frames']} samples{sender}, {result['fps'] or 0:g} a second")
+    faceless = result["frames_without_face"]
+    without = f", {faceless} without a face" if faceless else ""
+    say(f"{result['frames']} samples{sender}{without}, {result['fps'] or 0:g} a second")
     for hint in result["hints"]:
         say(f"- {hint}")
     return result

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import ExifTags, Image, ImageDraw
 
 from pica_client.errors import SourceError
 from pica_client.sources.calibration import Calibration
@@ -162,11 +162,12 @@ def pictures(
     began_s, offset_s, last_s = time.monotonic(), 0.0, 0.0
     first_s: float | None = None  # films cut from longer ones, and streams, begin anywhere
     while True:
+        is_empty = True
         with contextlib.suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
             for frame in container.decode(video=0):
                 if frame.width * frame.height > MAX_PIXELS:
                     return
-                taken_s = frame.time
+                taken_s, is_empty = frame.time, False
                 if is_video:
                     first_s = taken_s if first_s is None else first_s
                     known = taken_s is not None and first_s is not None
@@ -176,17 +177,37 @@ def pictures(
                     taken_s = last_s
                 elif wait(0.0):
                     return
-                picture = frame.to_image()
-                if frame.rotation:  # films of phones are stored on their side
-                    picture = picture.rotate(frame.rotation, expand=True)
-                yield picture, taken_s
-        if not is_video or last_s <= offset_s:
+                yield _upright(frame, container.name), taken_s
+        if not is_video or is_empty:
             return
         offset_s = last_s + 1 / 30
         with contextlib.suppress(
             av.FFmpegError
         ):  # a stream that cannot be rewound gives nothing more
             container.seek(0)
+
+
+def _upright(frame: Any, path: str) -> Image.Image:
+    """The picture of a frame; phones store theirs on their side, and mirrored."""
+    picture, degrees = frame.to_image(), frame.rotation
+    if _is_mirrored(frame, path):
+        picture, degrees = picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT), degrees + 180
+    return picture.rotate(degrees, expand=True) if degrees % 360 else picture
+
+
+def _is_mirrored(frame: Any, path: str) -> bool:
+    from av.sidedata.sidedata import Type
+
+    try:
+        matrix = frame.side_data.get(Type.DISPLAYMATRIX)
+    except ValueError:  # side data of a kind that PyAV does not know: a photo's EXIF
+        with contextlib.suppress(OSError), Image.open(path, formats=("JPEG",)) as photo:
+            return photo.getexif().get(ExifTags.Base.Orientation) in (2, 4, 5, 7)
+        return False
+    if matrix is None:
+        return False
+    a, b, _, c, d = np.frombuffer(matrix, np.int32)[:5].astype(np.float64)
+    return bool(a * d < b * c)
 
 
 PRESENT = 0.5

@@ -2,12 +2,12 @@
 
 import asyncio
 import math
-import wave
+import struct
 from collections.abc import AsyncIterator
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import numpy as np
 
@@ -28,6 +28,12 @@ _LATEST_S: Final = 0.2
 
 MAX_SECONDS = 600
 MIN_RATE_HZ, MAX_RATE_HZ = 8000, 96_000
+SAMPLES: Final = {(1, 16): "<i2", (1, 24): "<i4", (1, 32): "<i4", (3, 32): "<f4"}
+"""What is read, by format (1: whole numbers, 3: floats) and bits; 24 bits become the upper ones."""
+EXTENSIBLE: Final = 0xFFFE
+"""Format whose true one stands behind it."""
+UNKNOWN_BYTES: Final = (0, 0xFFFF_FFFF)
+"""Lengths of sound that stand in a header which was written before it."""
 
 
 class SoundSource:
@@ -109,24 +115,55 @@ def read_wav(path: Path) -> FloatArray:
     written, ends where its bytes end.
 
     Raises:
-        SourceError: It is no WAV file of 16 bits a sample, or longer than `MAX_SECONDS`.
+        SourceError: It is no WAV file of such samples, or longer than `MAX_SECONDS`.
     """
     try:
-        with wave.open(str(path), "rb") as file:
-            channels, width, rate_hz, *_ = file.getparams()
-            data = file.readframes(MAX_SECONDS * MAX_RATE_HZ)
-    except (OSError, EOFError, wave.Error) as error:
+        with path.open("rb") as file:
+            layout, num_bytes = _find_sound(file)
+            tag, channels, rate_hz, _, _, bits = struct.unpack_from("<HHIIHH", layout)
+            if tag == EXTENSIBLE:
+                (tag,) = struct.unpack_from("<H", layout, 24)
+            if (tag, bits) not in SAMPLES:
+                raise SourceError(f"{path}: {bits} bits of format {tag}; 16-bit PCM is needed")
+            if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+                allowed = f"{MIN_RATE_HZ} to {MAX_RATE_HZ} are allowed"
+                raise SourceError(f"{path}: {rate_hz} Hz; {allowed}")
+            block = channels * bits // 8
+            longest = (MAX_SECONDS * rate_hz + 1) * block
+            data = file.read(longest if num_bytes in UNKNOWN_BYTES else min(num_bytes, longest))
+    except (OSError, ValueError, struct.error) as error:
         raise SourceError(f"{path}: no WAV file of PCM sound: {error}") from error
-    if width != 2:
-        raise SourceError(f"{path}: {8 * width} bits a sample; 16 are needed")
-    if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
-        raise SourceError(f"{path}: {rate_hz} Hz; {MIN_RATE_HZ} to {MAX_RATE_HZ} are allowed")
-    frames = np.frombuffer(data[: len(data) // (2 * channels) * 2 * channels], "<i2")
-    sound = frames.reshape(-1, channels).mean(axis=1)
-    if not 0 < len(sound) <= MAX_SECONDS * rate_hz:
-        seconds = len(sound) / rate_hz
+    count = len(data) // block if block else 0
+    if not 0 < count <= MAX_SECONDS * rate_hz:
+        seconds = count / rate_hz
         raise SourceError(f"{path}: {seconds:.0f} s of sound; above 0 to {MAX_SECONDS} are played")
-    return resampled((sound / 32768).astype(np.float32), rate_hz, RATE_HZ)
+    stored = np.frombuffer(data, np.uint8, count * block).reshape(-1, bits // 8)
+    if bits == 24:
+        stored = np.pad(stored, ((0, 0), (1, 0)))
+    samples = np.ascontiguousarray(stored).view(SAMPLES[tag, bits]).reshape(-1, channels)
+    full = np.iinfo(samples.dtype).max + 1 if tag == 1 else 1
+    sound = np.nan_to_num(samples.mean(axis=1, dtype=np.float64) / full).clip(-1, 1)
+    return resampled(sound.astype(np.float32), rate_hz, RATE_HZ)
+
+
+def _find_sound(file: BinaryIO) -> tuple[bytes, int]:
+    """Read a file up to its sound; return what says how it is stored, and its bytes.
+
+    Raises:
+        ValueError: There is none.
+    """
+    kind, _, what = struct.unpack("<4sI4s", file.read(12))
+    if kind not in (b"RIFF", b"RF64") or what != b"WAVE":
+        raise ValueError("it begins otherwise")
+    chunks: dict[bytes, bytes] = {}
+    while len(start := file.read(8)) == 8:
+        name, num_bytes = struct.unpack("<4sI", start)
+        if name == b"data":
+            if b"ds64" in chunks:  # lengths above 4 GB stand there
+                (num_bytes,) = struct.unpack_from("<Q", chunks[b"ds64"], 8)
+            return chunks.get(b"fmt ", b""), num_bytes
+        chunks[name] = file.read(num_bytes + num_bytes % 2)
+    raise ValueError("it has no sound")
 
 
 def resampled(sound: FloatArray, rate_hz: int, to_hz: int) -> FloatArray:

@@ -68,6 +68,15 @@ def test_a_take_is_read_by_names_at_its_own_clock_and_interpolated(take: Path) -
     assert later.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.5)
 
 
+def test_a_take_that_a_spreadsheet_saved_is_the_same(take: Path) -> None:
+    own = load_livelink_csv(take)
+    text = take.read_text().replace(",", ";").replace(".", ",").replace("\n", "\r\n")
+    take.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    saved = load_livelink_csv(take)
+    np.testing.assert_array_equal(saved.arkit, own.arkit)
+    np.testing.assert_array_equal(saved.times_s, own.times_s)
+
+
 def test_a_take_across_midnight_goes_on(tmp_path: Path) -> None:
     rows = [take_row("23:59:59:59.000"), take_row("00:00:00:01.000")]
     recording = load_livelink_csv(write_take(tmp_path / "night.csv", rows))

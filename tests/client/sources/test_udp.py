@@ -172,16 +172,27 @@ def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
     report = Recorder()
     for arrived_s, sample in samples():
         report(sample, arrived_s)
-    result = report.report("", Counter(), Counter())
+    result = report.report("livelink", "", Counter(), Counter())
     assert result["frames"] == 90
     assert result["fps"] == pytest.approx(30, abs=0.1)
     assert result["gap_ms"]["p50"] == pytest.approx(1000 / 30, abs=0.1)
+    assert result["frames_without_face"] == 10
     assert result["no_face_ratio"] == pytest.approx(10 / 90, abs=1e-3)
     assert list(result["shapes"]) == ["jawOpen"]
     hints = " ".join(result["hints"])
     assert "often sees no face" in hints
     assert "not sent" in hints
     assert "Stream Head Rotation" in hints
+
+
+def test_a_film_that_begins_again_gets_no_advice_for_phones() -> None:
+    report = Recorder()
+    for arrived_s, sample in samples()[:80]:
+        report(sample, 3 * arrived_s if arrived_s > 101 else arrived_s)
+    for kind, is_phone in (("livelink", True), ("webcam", False)):
+        hints = " ".join(report.report(kind, "", Counter(), Counter())["hints"])
+        for words in ("Wi-Fi", "cooler phone", "Stream Head"):
+            assert (words in hints) == is_phone, words
 
 
 def test_a_calibration_is_made_kept_and_found_again(

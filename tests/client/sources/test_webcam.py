@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import itertools
 import threading
 import time
 import zipfile
@@ -12,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 from scipy.spatial.transform import Rotation
 
 from pica_client.errors import SourceError
@@ -169,10 +170,15 @@ def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
         wide.putpixel((0, 0), (255, 0, 0))
         for number in range(2):
             yield SimpleNamespace(
-                width=8, height=4, rotation=-90, time=7200 + number, to_image=wide.copy
+                width=8,
+                height=4,
+                rotation=-90,
+                side_data={},
+                time=7200 + number,
+                to_image=wide.copy,
             )
 
-    container = SimpleNamespace(decode=lambda video: film())
+    container = SimpleNamespace(name="", decode=lambda video: film())
     waits: list[float] = []
     shown = pictures(container, True, lambda seconds: waits.append(seconds) or len(waits) == 3)
     (first, first_s), (_, second_s) = next(shown), next(shown)
@@ -180,6 +186,28 @@ def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
     assert first.getpixel((3, 0)) == (255, 0, 0)  # a quarter turn clockwise
     assert (first_s, second_s) == (0.0, 1.0)
     assert waits[0] < 0.5
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_photo_is_shown_as_its_camera_was_held_again_and_again(
+    tmp_path: Path, orientation: int
+) -> None:
+    pytest.importorskip("av")
+    exif, path = Image.Exif(), tmp_path / "photo.jpg"
+    exif[ExifTags.Base.Orientation] = orientation
+    stored = Image.new("RGB", (96, 48), (40, 40, 40))
+    stored.paste((230, 30, 30), (0, 0, 48, 16))
+    stored.save(path, exif=exif)
+
+    container = open_camera(str(path))
+    shown = list(itertools.islice(pictures(container, True, lambda seconds: False), 3))
+    container.close()
+
+    with Image.open(path) as photo:
+        wanted = np.asarray(ImageOps.exif_transpose(photo).convert("RGB"), np.int64)
+    for picture, _ in shown:
+        assert np.abs(np.asarray(picture, np.int64) - wanted).mean() < 3
+    assert len(shown) == 3
 
 
 class Blank:
@@ -197,6 +225,8 @@ class Blank:
 class Film:
     """A container of one picture, which is then held for some time; it cannot be rewound."""
 
+    name = ""
+
     def __init__(self, hold: Callable[[], object] = lambda: None) -> None:
         self._is_over, self._hold = False, hold
 
@@ -204,7 +234,9 @@ class Film:
         if not self._is_over:
             self._is_over = True
             to_image = functools.partial(Image.new, "RGB", (8, 8))
-            yield SimpleNamespace(width=8, height=8, time=0.5, rotation=0, to_image=to_image)
+            yield SimpleNamespace(
+                width=8, height=8, time=0.5, rotation=0, side_data={}, to_image=to_image
+            )
             self._hold()
 
     def seek(self, offset: int) -> None:
