@@ -241,6 +241,8 @@ class Relay:
         del response.headers["Content-Type"]
         response.headers["Content-Type"] = page.content_type
         response.headers.update(page.headers)
+        if request.method == "HEAD":
+            response.body = b""
         return response
 
     async def drain(self) -> None:

@@ -49,11 +49,12 @@ class StatusPages:
         """Return the page of a path, or None if there is none.
 
         Args:
+            path: As it is asked for; a slash or a query at its end changes nothing.
             authorization: The header of that name; ``/rooms`` needs an admin's token in it.
             is_local: Whether this machine asks; some pages are for it only.
         """
         note = "NATS lost, new rooms are local" if self._has_lost_nats else ""
-        match path:
+        match path.partition("?")[0].rstrip("/"):
             case "/healthz":
                 # Lost NATS is no reason to start it again: its rooms go on.
                 return _verdict("", note)

@@ -189,7 +189,8 @@ def pictures(
 
 def _upright(frame: Any, path: str) -> Image.Image:
     """The picture of a frame; phones store theirs on their side, and mirrored."""
-    picture, degrees = frame.to_image(), frame.rotation
+    picture: Image.Image = frame.to_image()
+    degrees: int = frame.rotation
     if _is_mirrored(frame, path):
         picture, degrees = picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT), degrees + 180
     return picture.rotate(degrees, expand=True) if degrees % 360 else picture

@@ -68,6 +68,23 @@ def test_a_lost_connection_leaves_nothing_to_the_garbage_collector(said: bytes) 
     asyncio.run(come_and_go())
 
 
+@pytest.mark.parametrize("asked", ["GET /healthz/", "HEAD /healthz", "GET /readyz?from=probe"])
+@pytest.mark.parametrize("version", ["1.0", "1.1"])
+def test_probes_of_all_kinds_are_answered(asked: str, version: str) -> None:
+    async def scenario() -> bytes:
+        async with Relay(RelayConfig(port=0)) as relay:
+            host, _, port = relay.url.removeprefix("ws://").rpartition(":")
+            reader, writer = await asyncio.open_connection(host, int(port))
+            writer.write(f"{asked} HTTP/{version}\r\nHost: localhost\r\n\r\n".encode())
+            answer = await reader.read()
+            writer.close()
+            return answer
+
+    head, _, body = asyncio.run(scenario()).partition(b"\r\n\r\n")
+    assert head.split()[1] == b"200"
+    assert body == (b"" if asked.startswith("HEAD") else b"ok\n")
+
+
 @pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
 def test_two_colons_listen_for_both_families_and_zones() -> None:
     async def scenario() -> None:
