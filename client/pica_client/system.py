@@ -104,22 +104,17 @@ def writing(path: Path) -> Iterator[None]:
         raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def check_writable(path: Path | None, suffix: str = "") -> None:
+def check_writable(path: Path | None) -> None:
     """Refuse before the work what could not be written after it. Writes nothing.
 
     Args:
         path: The file; None: there will be none.
-        suffix: What the name of such a file ends in; a name without any ending will do, too.
 
     Raises:
-        OptionError: A folder stands there, its folder is not there, it is not ours to write, or its
-            name promises another kind of file.
+        OptionError: A folder stands there, its folder is not there, or it is not ours to write.
     """
     if path is None:
         return
-    if suffix and path.suffix.lower() not in ("", suffix):
-        better = path.with_suffix(suffix)
-        raise OptionError(f"{path}: would hold {suffix[1:].upper()} all the same; name it {better}")
     folder = path.parent
     if path.is_dir():
         reason = "Is a directory; name a file in it"

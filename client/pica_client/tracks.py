@@ -21,14 +21,6 @@ VOICE_TRACK: Final = "voice"
 VOICE_KEY: Final = "voice"
 """The metadata key under which a peer says why it is not heard: `VOICE_MUTED`."""
 VOICE_MUTED: Final = "muted"
-VOICE_DEADLINE_MS: Final = 200
-"""How long a voice packet may wait on its way (chosen: as long as the longest delay that is waited
-for before it is heard)."""
-
-
-def voice_track() -> Track:
-    """Return the track that a voice of ours travels on."""
-    return Track(kind=VOICE_TRACK, policy="ordered", deadline_ms=VOICE_DEADLINE_MS)
 
 
 def voice_of(peer: Peer) -> Track | None:

@@ -145,8 +145,8 @@ def view_calls(
         GraphicsError: There is no way to draw.
         ClientError: Without a form, what else `stay` or `open_own` raises.
     """
-    check_writable(options.png, ".png")
-    check_writable(options.record, ".mp4")
+    check_writable(options.png)
+    check_writable(options.record)
     form = JoinForm(state=state, link_of=partial(link_of, options))
     with closing(SoundProcess(state.sound)) as sound, ExitStack() as stack:
         lobby = None

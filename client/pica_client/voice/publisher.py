@@ -12,13 +12,16 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from pica_client.tracks import VOICE_KEY, VOICE_MUTED, voice_track
+from pica_client.tracks import VOICE_KEY, VOICE_MUTED, VOICE_TRACK
 from pica_client.transport.link import Link
 from pica_client.voice.opus import FRAME_SAMPLES, FRAME_US, PACKET_FRAMES, OpusEncoder
 from pica_core.types import FloatArray
+from pica_protocol.messages import Track
 
 BITRATE_BPS: Final = 24_000
 """Bits a second during speech."""
+DEADLINE_MS: Final = 200
+"""How long a packet may wait on its way (chosen: as the longest wait before it is heard)."""
 _NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
 _GAP_US: Final = FRAME_US // 2
 """Between the end of a packet and the beginning of the next; more is a silence."""
@@ -53,7 +56,7 @@ class VoicePublisher:
         Raises:
             VoiceError: There is no libopus.
         """
-        self.track = voice_track()
+        self.track = Track(kind=VOICE_TRACK, policy="ordered", deadline_ms=DEADLINE_MS)
         self.is_muted = False
         self.listeners: list[Callable[[FloatArray, int], None]] = []
         self._source = source

@@ -46,7 +46,6 @@ def avatar(tmp_path: Path) -> str:
         (["view", "--avatar", "none.pica"], "none.pica: cannot be read"),
         (["view", "--expect", "-1"], "expect is -1; 0 to 63 is allowed"),
         (["view", "--record", "nowhere/a.mp4"], "nowhere/a.mp4: cannot be written"),
-        (["view", "--png", "x.jpg"], "x.jpg: would hold PNG all the same; name it x.png"),
         (["demo", "--out", __file__], "test_commands.py: cannot be written: File exists"),
         (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
