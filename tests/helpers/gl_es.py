@@ -11,7 +11,7 @@ import sys
 from typing import Any
 
 from pica_client.render.gpu_program import compose
-from pica_client.render.gpu_tables import SHEET, lay_out
+from pica_client.render.gpu_tables import GATHER, SHEET, lay_out
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
 
 UNABLE = 77
@@ -65,9 +65,10 @@ def main() -> int:
         print("no driver of GL ES 3.0")
         return UNABLE
     plan = laid_out[0]
+    exits = [last for _, last in plan.exits.values()]
     texts = [(VERTEX_SHADER, compose("rect.vert", dialect="300 es"))]
-    texts.append((FRAGMENT_SHADER, compose(SHEET, dialect="300 es")))
-    for step in (*plan.trunk, plan.full, *plan.vertices):
+    texts += [(FRAGMENT_SHADER, compose(name, dialect="300 es")) for name in (GATHER, SHEET)]
+    for step in (*plan.trunk, plan.full, *exits, *plan.vertices):
         source = compose(step.shader, dialect="300 es", defines=step.defines)
         texts.append((FRAGMENT_SHADER, source))
     for kind, source in texts:

@@ -151,7 +151,7 @@ class HeadMaps:
             {level: (level, level, EXPRESSION_CHANNELS) for level in rows},
         )
         self._textures: dict[tuple[int, int], moderngl.Texture] = {}
-        self._targets: tuple[moderngl.Framebuffer, moderngl.Framebuffer] | None = None
+        self._targets: dict[tuple[int, int], moderngl.Framebuffer] = {}
         self.level = 0
 
     @property
@@ -177,16 +177,13 @@ class HeadMaps:
                 texture.write(np.ascontiguousarray(array))
                 self._show(level)
 
-    def targets(self) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer]:
-        """Where both maps of the full level, four channels a texel, are to be drawn now."""
-        self.level = max(self._shapes[POSITIONS])
-        if self._targets is None:
-            positions, expressions = (
-                self._context.framebuffer([self._texture(self.level, kind, 4)])
-                for kind in (POSITIONS, EXPRESSIONS)
-            )
-            self._targets = positions, expressions
-        return self._targets
+    def target(self, level: int, kind: int) -> moderngl.Framebuffer:
+        """Where a map of a level, four channels a texel, is to be drawn now."""
+        key = level, kind
+        if key not in self._targets:
+            self._targets[key] = self._context.framebuffer([self._texture(level, kind, 4)])
+        self._show(level)
+        return self._targets[key]
 
     def _texture(self, level: int, kind: int, components: int) -> moderngl.Texture:
         key = level, kind

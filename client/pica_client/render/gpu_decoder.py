@@ -6,12 +6,10 @@
     results = decoder.take_results()                    # draws: the maps are shown afterwards
 
 Each step is one draw for all who are decoded: heads lie one below the other in its images, and an
-avatar's numbers are a layer of each array (`gpu_tables`). Vertices are sums over the directions of
-their regions. The last step is one draw for each map, straight to where the renderer has it. A head
-and frame take one kilobyte of upload.
-
-Whatever level is asked for, both maps are the full ones: an exit to a coarser one would save a GPU
-little, and is less exact. A coarser mesh is drawn with them all the same.
+avatar's numbers are a layer of each array (`gpu_tables`). A level below the full one leaves the
+steps that all share at its size. Vertices are sums over the directions of their regions. The last
+step is one draw for each map, straight to where the renderer has it. A head and frame take one
+kilobyte of upload.
 
 Everything belongs to the thread of the context.
 """
@@ -31,7 +29,7 @@ from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest,
 from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_program import build_program, clamp, compose, set_values
-from pica_client.render.gpu_tables import SHEET, VECTOR, Pass, Plan, lay_out
+from pica_client.render.gpu_tables import GATHER, SHEET, VECTOR, Pass, Plan, lay_out
 from pica_client.render.renderer import Renderer
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
@@ -104,7 +102,8 @@ class _Job(NamedTuple):
     slot: str
     entry: _Slot
     request: DecodeRequest
-    vertices: moderngl.Framebuffer
+    level: int
+    vertices: moderngl.Framebuffer | None
     codes: moderngl.Framebuffer
 
 
@@ -161,10 +160,11 @@ class GpuDecoder(Closing):
             gone.bank.remove(gone.avatar)
 
     def submit(self, slot: str, request: DecodeRequest) -> None:
-        """Ask for a decode; takes the place of one that still waits. Unknown slots ignore it."""
+        """Ask for a decode; takes the place of one that still waits, and widens to its parts.
+        Unknown slots ignore it."""
         entry = self._slots.get(slot)
         if entry is not None:
-            entry.request = request
+            entry.request = request.widened_by(entry.request) if entry.request else request
             entry.submitted_s = self._clock()
 
     def take_results(self) -> list[DecodeResult]:
@@ -183,9 +183,10 @@ class GpuDecoder(Closing):
                 results.append(DecodeResult(slot, None, problem))
                 self.remove(slot)
                 continue
-            targets = self._map_targets(slot)
+            level = request.level or MAP_SIZE
+            targets = self._map_targets(slot, level, both=request.parts == "both")
             if targets is not None:
-                jobs.append(_Job(slot, entry, request, *targets))
+                jobs.append(_Job(slot, entry, request, level, *targets))
         if jobs:
             results += self._decode(jobs)
         return results
@@ -195,6 +196,7 @@ class GpuDecoder(Closing):
         self._context.enable_only(moderngl.NOTHING)
         self._context.wireframe = False
         self._context.clear_samplers(0, UNIT_BASIS + 1)
+        jobs.sort(key=lambda job: -job.level)
         with self._gpu_clock.around(len(jobs)):
             for bank in self._banks:
                 own = [job for job in jobs if job.entry.bank is bank]
@@ -206,7 +208,7 @@ class GpuDecoder(Closing):
         return [
             DecodeResult(
                 job.slot,
-                DecodedMaps(None, None, job.request.level or MAP_SIZE),
+                DecodedMaps(None, None, job.level),
                 None,
                 captured_us=job.request.captured_us,
                 submitted_s=job.entry.submitted_s,
@@ -241,9 +243,10 @@ class _Bank:
         self._capacity = 0
         self._numbers = np.zeros((MAX_BATCH, HEAD_TEXELS, VECTOR), np.float32)
         self._trunk = [_Step(context, step) for step in plan.trunk]
+        self._exits = {level: _Step(context, last) for level, (_, last) in plan.exits.items()}
         self._vertices = [_Step(context, step) for step in plan.vertices]
         self._full = _screen(context, plan.full.shader, plan.full.defines)
-        self._sheet = _screen(context, SHEET, {})
+        self._gather, self._sheet = (_screen(context, name, {}) for name in (GATHER, SHEET))
 
     def __contains__(self, avatar: Avatar) -> bool:
         return avatar in self._layers
@@ -271,7 +274,7 @@ class _Bank:
         del self._arrays[avatar], self._layers[avatar]
 
     def decode(self, jobs: Sequence[_Job]) -> None:
-        """Decode a batch."""
+        """Decode a batch, those of the full level first."""
         self._reserve(len(jobs))
         numbers = self._numbers[: len(jobs)]
         for row, job in zip(numbers, jobs, strict=True):
@@ -281,17 +284,40 @@ class _Bank:
             row[-1, 0] = avatar.manifest.position_scale_m
         self._heads.write(numbers, viewport=(0, 0, HEAD_TEXELS, len(jobs)))
         self._heads.use(UNIT_HEADS)
-        for step in self._trunk:
-            step.draw(len(jobs), self._textures)
-        for number, job in enumerate(jobs):
-            _draw_map(self._full, job.codes, number)
+        self._decode_codes(jobs)
+        if any(job.vertices for job in jobs):
+            self._decode_vertices(jobs)
+
+    def _decode_codes(self, jobs: Sequence[_Job]) -> None:
+        """Go through the trunk with those who are still in it; others leave at their level."""
+        lengths = [self.plan.trunk_length(job.level) for job in jobs]
+        for number, step in enumerate(self._trunk):
+            step.draw(sum(length > number for length in lengths), self._textures)
+            step.bind()
+            left = [place for place, length in enumerate(lengths) if length == number + 1]
+            if not left:
+                continue
+            last = self._exits.get(jobs[left[0]].level)
+            if last is not None:
+                last.draw(left[-1] + 1, self._textures)
+                last.bind()
+            for place in left:
+                _draw_map(self._gather if last else self._full, jobs[place].codes, place)
+            if left[0] == 0:
+                return
+            step.bind()
+
+    def _decode_vertices(self, jobs: Sequence[_Job]) -> None:
         self._heads.use(UNIT_ROWS)
         for step in self._vertices:
             step.draw(len(jobs), self._textures)
-        for name, unit in (("basis", UNIT_BASIS), ("places", UNIT_PLACES), ("mean", UNIT_MEAN)):
-            self._textures[name].use(unit)
+            step.bind()
+        self._textures["basis"].use(UNIT_BASIS)
         for number, job in enumerate(jobs):
-            _draw_map(self._sheet, job.vertices, number)
+            if job.vertices is not None:
+                self._textures[f"places {job.level}"].use(UNIT_PLACES)
+                self._textures[f"mean {job.level}"].use(UNIT_MEAN)
+                _draw_map(self._sheet, job.vertices, number)
 
     def _layered(self, array: Array, layers: int) -> moderngl.TextureArray:
         rows, columns, components = array.shape
@@ -308,7 +334,7 @@ class _Bank:
         with freeing(self._context):
             self._context.detect_framebuffer(0).use()  # freeing one that is bound is an error
             self._heads = _image(self._context, HEAD_TEXELS, self._capacity)
-            for step in (*self._trunk, *self._vertices):
+            for step in (*self._trunk, *self._exits.values(), *self._vertices):
                 step.make_images(self._capacity)
 
 
@@ -326,14 +352,17 @@ class _Step:
         self._images = [_image(self._context, *size) for _ in range(self._pass.num_images)]
         self._target = self._context.framebuffer(self._images)
 
+    def bind(self) -> None:
+        """Let others read what it drew."""
+        for unit, image in enumerate(self._images):
+            image.use(unit)
+
     def draw(self, count: int, arrays: Mapping[str, moderngl.TextureArray]) -> None:
-        """Draw the first heads, from what is bound, and bind what was drawn."""
+        """Draw the first heads, from what is bound."""
         arrays[self._pass.table].use(UNIT_TABLE)
         self._target.viewport = (0, 0, self._pass.columns, count * self._pass.rows)
         self._target.use()
         self._screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
-        for unit, image in enumerate(self._images):
-            image.use(unit)
 
 
 def _draw_map(screen: moderngl.VertexArray, target: moderngl.Framebuffer, head: int) -> None:

@@ -9,9 +9,9 @@ same shapes:
 
     half, exact    tables of the decoder's numbers: in 16-bit floats what files store with no more
     basis          directions of all regions, signed bytes: code 128 is 0, 127 steps are 1
-    places         of each vertex: its column in the basis, and the first and the one after the last
-                   of its rows there
-    mean           where it is at rest, metres
+    places S       of each vertex of level S: its column in the basis, and the first and the one
+                   after the last of its rows there
+    mean S         where it is at rest, metres
 
 The pixel decoder (`siren_source`): constants, or a uniform block (`pack_weights`) with which one
 program serves all avatars. The inputs of its first layer, as the shader fills its vectors:
@@ -28,6 +28,7 @@ from typing import Literal
 import numpy as np
 
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.levels import local_name
 from pica_core.avatar.linear import PREFIX, RANK, REGION
 from pica_core.avatar.spec import (
     MAP_SIZE,
@@ -44,10 +45,10 @@ TABLE_COLUMNS = 1024
 """Texels in a row of a table: a power of two that every driver has."""
 DIRECTIONS_STEP, SHEET_STEP = 512, 32
 """Room for the directions of all regions and for the rows of a sheet comes in multiples of these
-(chosen: the shipped avatars have 1,418 to 1,489, and 104 to 113)."""
+(chosen: the shipped avatars have 1,418 to 1,489, and 77 to 113)."""
 TableName = Literal["half", "exact"]
 CONVOLVE, EXPAND, DENSE = (f"decode_{name}.frag" for name in ("convolve", "expand", "dense"))
-FULL, SHEET = (f"decode_{name}.frag" for name in ("full", "sheet"))
+FULL, GATHER, SHEET = (f"decode_{name}.frag" for name in ("full", "gather", "sheet"))
 """What draws a head's own maps."""
 SINE_COEFFICIENTS = (6.283164044063381, -41.33714233439381, 81.34076751798747, -70.99341896675098)
 """sin(2 pi s) over a quarter turn either way as an odd polynomial of s: the one whose largest
@@ -81,10 +82,16 @@ class Plan:
     """Towards the full expression map: a convolution and an expansion for each block."""
     full: Pass
     """The last expansion, straight into a head's own map."""
+    exits: Mapping[int, tuple[int, Pass]]
+    """To the map of a level below: so many steps of the trunk, and the one after them."""
     vertices: tuple[Pass, ...]
     """From latents to weights of bases, and to the directions of all regions."""
-    sheet_rows: int
-    """Room for the vertices, rows of `MAP_SIZE` columns."""
+    sheet_rows: Mapping[int, int]
+    """Room for the vertices of each level, rows of so many columns."""
+
+    def trunk_length(self, level: int) -> int:
+        """How many steps of the trunk a level takes."""
+        return self.exits[level][0] if level in self.exits else len(self.trunk)
 
 
 class _Table:
@@ -126,38 +133,45 @@ def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
     half, exact = _Table(), _Table()
     trunk: list[Pass] = []
     for layer in decoder_layers(spec, "expression"):
+        ins, size = vectors(layer.in_channels), layer.size
         if layer.kind == "conv3":
-            shader, rows, outs = CONVOLVE, layer.size // 2, vectors(layer.out_channels)
-            weights = _kernels(tensors[f"{layer.name}.weight"])
-            biases = _texels(tensors[f"{layer.name}_bias.weight"])
+            weight, bias = (tensors[f"{layer.name}{part}.weight"] for part in ("", "_bias"))
+            trunk.append(_convolution(weight, bias, half, "half", is_first=not trunk))
         elif layer.kind == "conv1":
-            shader = EXPAND if 2 * layer.size < MAP_SIZE else FULL
-            rows, outs = layer.size, vectors(layer.out_channels // VECTOR)
-            weights = _phases(tensors[f"{layer.name}.weight"])
-            biases = _phase_biases(tensors[f"{layer.name}.bias"])
-        else:
-            continue
-        defines = {"SIZE": layer.size, "IN_VECTORS": vectors(layer.in_channels)}
-        defines |= {"WEIGHTS": half.add(weights), "BIAS": half.add(biases)}
-        defines |= {} if trunk else {"FIRST": 1}
-        trunk.append(
-            Pass(shader=shader, defines=defines, columns=outs * rows, rows=rows, table="half")
-        )
+            outs, weight = vectors(layer.out_channels // VECTOR), tensors[f"{layer.name}.weight"]
+            defines = {"SIZE": size, "IN_VECTORS": ins, "WEIGHTS": half.add(_phases(weight))}
+            defines["BIAS"] = half.add(_phase_biases(tensors[f"{layer.name}.bias"]))
+            trunk.append(
+                Pass(
+                    shader=EXPAND if 2 * size < MAP_SIZE else FULL,
+                    defines=defines,
+                    columns=outs * size,
+                    rows=size,
+                    table="half",
+                )
+            )
+    exits = {}
+    for level in avatar.levels[:-1]:
+        name, own = f"level.{level}.expression", tensors.get(local_name(level))
+        steps = next(n for n, step in enumerate(trunk) if step.defines["SIZE"] == level)
+        weight, bias = tensors[f"{name}.weight"], tensors[f"{name}.bias"]
+        exits[level] = steps, _convolution(weight, bias, exact, "exact", local=own)
     weight, mix = tensors[f"{PREFIX}weight"], tensors[f"{PREFIX}mix"]
     bases = {"IN_VECTORS": NUM_LATENT // VECTOR, "WEIGHTS": exact.add(_blocks(weight))}
     bases["BIAS"] = exact.add(_padded(tensors[f"{PREFIX}bias"], 0))
     mix = _padded(mix, 0, DIRECTIONS_STEP)
     directions = {"IN_VECTORS": vectors(len(weight)), "WEIGHTS": half.add(_blocks(mix))}
     columns = (vectors(len(weight)), vectors(len(mix)))
-    places, mean = _sheet(avatar)
+    sheets = {level: _sheet(avatar, level) for level in avatar.levels}
     plan = Plan(
-        sheet_rows=len(mean),
         trunk=tuple(trunk[:-1]),
         full=trunk[-1],
+        exits=exits,
         vertices=(
             Pass(shader=DENSE, defines=bases, columns=columns[0], rows=1, table="exact"),
             Pass(shader=DENSE, defines=directions, columns=columns[1], rows=1, table="half"),
         ),
+        sheet_rows={level: len(mean) for level, (_, mean) in sheets.items()},
     )
     numbers, scaled = half.rows(), tensors[f"{PREFIX}basis"] * np.float32(127)
     small, codes = numbers.astype(np.float16), np.rint(scaled)
@@ -165,19 +179,52 @@ def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
         return None
     arrays: dict[str, Array] = {"half": small, "exact": exact.rows()}
     arrays["basis"] = _padded((codes + 128).astype(np.uint8), 0, DIRECTIONS_STEP)
-    arrays |= {"places": places, "mean": mean}
+    for level, (places, mean) in sheets.items():
+        arrays |= {f"places {level}": places, f"mean {level}": mean}
     return plan, arrays
 
 
-def _sheet(avatar: Avatar) -> tuple[Array, Array]:
-    """Places and means of the vertices, as they lie in the sheet of the full level."""
+def _sheet(avatar: Avatar, level: int) -> tuple[Array, Array]:
+    """Places and means of a level's vertices."""
+    vertex = avatar.sheet_places(level)
     ends = np.cumsum(avatar.tensors[RANK])
     starts = ends - avatar.tensors[RANK]
-    mean = avatar.tensors[f"{PREFIX}mean"]
-    vertex = np.arange(mean.size // POSITION_CHANNELS)
     region = vertex // REGION
     places = np.stack([vertex % REGION, starts[region], ends[region]], axis=1).astype(np.uint16)
-    return _padded(places.reshape(mean.shape), 0, SHEET_STEP), _padded(mean, 0, SHEET_STEP)
+    mean = avatar.tensors[f"{PREFIX}mean"].reshape(-1, 3)[vertex]
+    both = (array.reshape(-1, level, 3) for array in (places, mean))
+    places, mean = (_padded(array, 0, SHEET_STEP) for array in both)
+    return places, mean
+
+
+def _convolution(
+    weight: Array,
+    bias: Array,
+    table: _Table,
+    table_name: TableName,
+    *,
+    is_first: bool = False,
+    local: Array | None = None,
+) -> Pass:
+    """A 3x3 convolution with a bias for each texel, and a LeakyReLU; an exit has none, and may have
+    weights of its own for each block of 2 x 2 texels."""
+    (num_out, num_in), size = weight.shape[:2], bias.shape[-1]
+    defines = {"SIZE": size, "IN_VECTORS": vectors(num_in), "IS_LEAKY": int(table_name == "half")}
+    defines["WEIGHTS"] = table.add(_kernels(weight))
+    defines["BIAS"] = table.add(_texels(bias))
+    if is_first:
+        defines["FIRST"] = 1
+    if local is not None:
+        spread = _padded(_padded(local.reshape(*local.shape[:2], num_out, num_in), 2), 3)
+        spread = spread.reshape(*local.shape[:2], vectors(num_out), VECTOR, -1, VECTOR)
+        defines["LOCAL"] = table.add(spread.transpose(2, 0, 1, 4, 5, 3))
+    return Pass(
+        shader=CONVOLVE,
+        defines=defines,
+        columns=vectors(num_out) * size // 2,
+        rows=size // 2,
+        table=table_name,
+    )
 
 
 def _padded(array: Array, axis: int, step: int = VECTOR) -> Array:

@@ -40,7 +40,13 @@ from pica_client.render.draw_list import (
     count_draws,
     list_heads,
 )
-from pica_client.render.gpu_avatar import HeadMaps, WeightsPlace, upload_avatar
+from pica_client.render.gpu_avatar import (
+    EXPRESSIONS,
+    POSITIONS,
+    HeadMaps,
+    WeightsPlace,
+    upload_avatar,
+)
 from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.layers import (
@@ -224,14 +230,17 @@ class Renderer(Closing):
         entry.maps.write(position_map, expression_map)
         entry.version = self._next_version()
 
-    def map_targets(self, slot: str) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer] | None:
-        """Where a decoder in shaders is to draw a slot's full positions and expressions now; None
-        for a slot without an avatar."""
+    def map_targets(
+        self, slot: str, level: int, *, both: bool
+    ) -> tuple[moderngl.Framebuffer | None, moderngl.Framebuffer] | None:
+        """Where a decoder in shaders is to draw a slot's positions and expressions of a level now;
+        without `both` the positions stay. None for a slot without an avatar."""
         entry = self._slots.get(slot)
         if entry is None or entry.maps is None:
             return None
         entry.version = self._next_version()
-        return entry.maps.targets()
+        positions = entry.maps.target(level, POSITIONS) if both else None
+        return positions, entry.maps.target(level, EXPRESSIONS)
 
     def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a baseline's decoder made; see `TexturedHead.update`."""

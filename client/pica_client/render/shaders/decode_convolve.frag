@@ -43,6 +43,9 @@ void main() {
     vec4 sum2 = number(first + SIZE, avatar);
     vec4 sum3 = number(first + SIZE + 1, avatar);
     int next = WEIGHTS + 36 * IN_VECTORS * group;
+#ifdef LOCAL
+    int own = LOCAL + 4 * IN_VECTORS * ((group * BLOCKS + at.y) * BLOCKS + at.x);
+#endif
     for (int from = 0; from < IN_VECTORS; ++from) {
         // Two rows of four texels at a time, moving down over the block and what surrounds it.
         vec4 a0 = read_or_zero(3, at + ivec2(-1, -1), from, head);
@@ -63,6 +66,16 @@ void main() {
             sum1 += left * a1 + middle * a2 + right * a3;
             sum2 += left * b0 + middle * b1 + right * b2;
             sum3 += left * b1 + middle * b2 + right * b3;
+#ifdef LOCAL
+            if (row == 1) {
+                mat4 here = block(own, avatar);
+                sum0 += here * a1;
+                sum1 += here * a2;
+                sum2 += here * b1;
+                sum3 += here * b2;
+                own += 4;
+            }
+#endif
             a0 = b0;
             a1 = b1;
             a2 = b2;
@@ -70,8 +83,8 @@ void main() {
             next += 12;
         }
     }
-    value0 = leaky(sum0);
-    value1 = leaky(sum1);
-    value2 = leaky(sum2);
-    value3 = leaky(sum3);
+    value0 = IS_LEAKY == 1 ? leaky(sum0) : sum0;
+    value1 = IS_LEAKY == 1 ? leaky(sum1) : sum1;
+    value2 = IS_LEAKY == 1 ? leaky(sum2) : sum2;
+    value3 = IS_LEAKY == 1 ? leaky(sum3) : sum3;
 }
