@@ -49,7 +49,7 @@ def avatar(tmp_path: Path) -> str:
         (["demo", "--out", __file__], "test_commands.py: cannot be written: File exists"),
         (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
-        (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
+        (["bench", "call", "--seconds", "-1"], "seconds is -1; 0.1 to 600"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
         (["bench", "voice", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
     ],
