@@ -3,7 +3,7 @@
 # Run it with a key file (docs/operating.md), as the user who may read it; it refuses to start without:
 #     docker run --user $(id -u):$(id -g) --read-only --tmpfs /tmp -p 8765:8765 \
 #         -v $PWD/keys:/run/secrets/keys:ro -e PICA_RELAY_KEYS=/run/secrets/keys pica-relay
-FROM python:3.11.13-slim-bookworm AS build
+FROM python:3.11.13-slim-bookworm@sha256:86adf8dbadc3d6e82ee5dd2c74bec2e1c2467cdad47886280501df722372d2e1 AS build
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY command command
@@ -14,7 +14,7 @@ COPY client client
 RUN python -m venv /opt/pica \
     && /opt/pica/bin/pip install --no-cache-dir --constraint constraints.txt '.[cluster]'
 
-FROM python:3.11.13-slim-bookworm
+FROM python:3.11.13-slim-bookworm@sha256:86adf8dbadc3d6e82ee5dd2c74bec2e1c2467cdad47886280501df722372d2e1
 COPY --from=build /opt/pica /opt/pica
 COPY docker/healthcheck.py /opt/pica/healthcheck.py
 ENV PATH=/opt/pica/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \

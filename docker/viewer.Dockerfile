@@ -1,6 +1,6 @@
 # Viewer and sender with software OpenGL (Mesa), not root. Build from the repository's root:
 #     docker build -f docker/viewer.Dockerfile -t pica-viewer .
-FROM python:3.11.13-slim-bookworm
+FROM python:3.11.13-slim-bookworm@sha256:86adf8dbadc3d6e82ee5dd2c74bec2e1c2467cdad47886280501df722372d2e1
 RUN apt-get update \
     && apt-get install -y --no-install-recommends libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*

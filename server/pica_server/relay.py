@@ -48,7 +48,8 @@ library waits until three quarters of it have drained: seconds of a slow reader'
 streams fall behind and are cut."""
 
 CERTIFICATE_PERIOD_S = 600.0
-"""Between two readings of the files of the certificate (chosen: two milliseconds of work)."""
+"""Between two readings of the files of the certificate, and of the keys (chosen: two milliseconds
+of work)."""
 
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
@@ -79,9 +80,7 @@ class Relay:
         """
         self.config = config
         self._processor_s = processor_s
-        keys: Keys | None = None
-        if config.keys is not None:
-            keys = load_keys(config.keys)
+        self._keys = keys = None if config.keys is None else load_keys(config.keys)
         self.hub = Hub(
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
@@ -136,7 +135,7 @@ class Relay:
         )
         self._pages = StatusPages(self.hub, config, self.store, admin_room)
         self._watching: asyncio.TimerHandle | None = None
-        self._keeping: asyncio.Task[None] | None = None
+        self._keeping: list[asyncio.Task[None]] = []
 
     @property
     def url(self) -> str:
@@ -194,7 +193,9 @@ class Relay:
                 raise
         self._watch_later()
         if self.certificate is not None:
-            self._keeping = asyncio.create_task(self.certificate.keep_fresh())
+            self._keeping.append(asyncio.create_task(self.certificate.keep_fresh()))
+        if self._keys is not None:
+            self._keeping.append(asyncio.create_task(self._keep_keys(self._keys)))
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -213,9 +214,22 @@ class Relay:
         if self.store is not None:
             self.store.close()
         self._pump.stop()
-        for watching in (self._watching, self._keeping):
+        for watching in (self._watching, *self._keeping):
             if watching is not None:
                 watching.cancel()
+
+    async def _keep_keys(self, keys: Keys) -> None:
+        """Read the key file again now and then: tokens of a removed key end."""
+        assert self.config.keys is not None
+        while True:
+            await asyncio.sleep(CERTIFICATE_PERIOD_S)
+            try:
+                fresh = load_keys(self.config.keys)
+            except ConfigurationError as error:
+                say(_logger, "keys refused", f"the old keys stay: {error}", why=str(error))
+                continue
+            keys.clear()
+            keys.update(fresh)
 
     def _answer(
         self, websocket: ServerConnection, request: Request

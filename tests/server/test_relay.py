@@ -13,10 +13,10 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     PeerLeft,
 )
-from pica_protocol.session import Closed
+from pica_protocol.session import Closed, State
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.net.pump import LONGEST_WAIT_S
-from pica_server.relay import Relay
+from pica_server.relay import CERTIFICATE_PERIOD_S, Relay
 from pica_server.tokens import ANY_ROOM, Admission, load_keys, mint, new_key_line
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
@@ -223,6 +223,23 @@ def test_an_admin_lists_the_rooms_over_http(tmp_path: Path) -> None:
             assert answer.count(b"Content-Type: ") == answer.count(b"application/json") == 1
             assert (await ask()).startswith(b"HTTP/1.1 401")
             assert (await ask(shown, shown)).startswith(b"HTTP/1.1 401")
+
+    scenario()
+
+
+def test_a_key_that_is_removed_lets_nobody_in_after_ten_minutes(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.write_text(new_key_line())
+    old = mint(load_keys(path), "lobby", Admission(identity="ada"), now=1e9, lasts_s=60)
+
+    @in_virtual_time
+    async def scenario() -> None:
+        async with Relay(RelayConfig(keys=path), unix_time=lambda: 1e9):
+            for what, is_let_in in (("no keys", True), (new_key_line(), False)):
+                path.write_text(what)
+                await asyncio.sleep(CERTIFICATE_PERIOD_S + 1)
+                async with peer_in_room(URL, "Ada", tracks=(), token=old) as ada:
+                    assert (ada.session.state is State.JOINED) == is_let_in
 
     scenario()
 

@@ -17,6 +17,7 @@ from pica_protocol.messages import (
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.limits import RefusalError
 from pica_server.room.hub import Hub
+from pica_server.room.membership import OWN_JOINS_BURST
 from pica_server.room.outbox import MAX_CONTROL_BYTES
 from pica_server.tokens import Admission
 
@@ -155,6 +156,23 @@ def test_who_may_not_join_does_not_use_up_the_joins_of_those_who_may() -> None:
     strangers = [Member(hub, f"Stranger {i}") for i in range(5)]
     assert {closed_code(stranger) for stranger in strangers} == {CloseCode.UNAUTHORIZED}
     assert closed_code(Member(hub, "Ada")) is None
+
+
+def test_one_identity_does_not_use_up_the_joins_of_the_others() -> None:
+    limits = LimitsConfig(joins_per_s=1, joins_burst=int(OWN_JOINS_BURST) + 1)
+    hub = Hub(
+        RelayConfig(limits=limits),
+        lambda join: Admission(identity=join.name),
+        new_secret=lambda: "t",
+    )
+    greedy = [Member(hub, "Eve") for _ in range(30)]
+    assert [closed_code(each) for each in greedy].count(CloseCode.BUSY) == 20
+    ada = Member(hub, "Ada", resumable=True)
+    assert closed_code(ada) is None
+    assert closed_code(Member(hub, "Ben")) == CloseCode.BUSY
+    back = Member(hub, "Ada", resumable=True, former=ada.session)
+    assert closed_code(back) is None
+    assert back.peer_id == ada.peer_id
 
 
 def test_one_address_has_a_limit_of_its_own_and_gets_its_places_back() -> None:

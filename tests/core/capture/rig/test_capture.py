@@ -16,9 +16,9 @@ from pica_core.errors import CaptureError
 pytestmark = pytest.mark.render
 
 
-def png(colour: tuple[int, int, int], mode: str = "RGB") -> bytes:
+def png(colour: tuple[int, int, int], mode: str = "RGB", kind: str = "PNG") -> bytes:
     out = io.BytesIO()
-    Image.new(mode, (8, 8), colour if mode == "RGB" else 40_000).save(out, "PNG")
+    Image.new(mode, (8, 8), colour if mode == "RGB" else 40_000).save(out, kind)
     return out.getvalue()
 
 
@@ -60,6 +60,8 @@ def test_bad_wishes_are_told_before_anything_is_written(
     [
         (b"no image", "not a complete image"),
         (png((200, 10, 10))[:45], "not a complete image"),
+        (png((200, 10, 10), kind="EPS"), "cannot identify"),  # it would start Ghostscript
+        (png((200, 10, 10), kind="BMP"), "cannot identify"),
         (png((0, 0, 0), "I;16"), "8-bit colour"),
     ],
 )
