@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from pica_core.capture.dataset.check import check_capture
+from pica_core.capture.dataset.files import read_vertices
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.render
@@ -137,6 +138,17 @@ def test_a_segment_in_both_splits_is_refused(damaged: Path) -> None:
     )
 
     assert problems_of(damaged) == [f"{path}: segment {name} is in both splits"]
+
+
+def test_a_whole_body_has_the_size_of_one(tmp_path: Path) -> None:
+    path = tmp_path / "body.bin"
+    for height_m, is_read in ((2.44, True), (0.00244, False), (24.4, False)):
+        np.array([[0, 0, 0], [0, 1e3 * height_m, 0]], "<f4").tofile(path)
+        if is_read:
+            assert read_vertices(path, 2)[1, 1] == pytest.approx(height_m)
+        else:
+            with pytest.raises(CaptureError, match="are its units mm"):
+                read_vertices(path, 2)
 
 
 def fold_chart(root: Path) -> None:

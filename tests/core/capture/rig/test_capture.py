@@ -3,6 +3,8 @@
 import io
 import json
 from pathlib import Path
+from struct import pack
+from zlib import crc32
 
 import pytest
 from PIL import Image
@@ -20,6 +22,13 @@ def png(colour: tuple[int, int, int], mode: str = "RGB", kind: str = "PNG") -> b
     out = io.BytesIO()
     Image.new(mode, (8, 8), colour if mode == "RGB" else 40_000).save(out, kind)
     return out.getvalue()
+
+
+def claiming(width: int, height: int) -> bytes:
+    """A small PNG that says it is of another size."""
+    data = png((0, 0, 0))
+    head = data[12:16] + pack(">II", width, height) + data[24:29]
+    return data[:12] + head + pack(">I", crc32(head)) + data[33:]
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +72,8 @@ def test_bad_wishes_are_told_before_anything_is_written(
         (png((200, 10, 10), kind="EPS"), "cannot identify"),  # it would start Ghostscript
         (png((200, 10, 10), kind="BMP"), "cannot identify"),
         (png((0, 0, 0), "I;16"), "8-bit colour"),
+        (claiming(9000, 30), "9000x30 pixels; sides up to 8192"),
+        (claiming(30_000, 30_000), "30000x30000|900000000 pixels"),
     ],
 )
 def test_an_image_of_the_wrong_kind_is_refused(data: bytes, words: str) -> None:

@@ -1,5 +1,6 @@
 """Rigs as files: what is read, what it is called, and what is refused in which words."""
 
+import base64
 import copy
 import json
 from pathlib import Path
@@ -134,6 +135,27 @@ def test_unit_and_heading_are_found(tmp_path: Path, scale: float, unit: str, sid
     )
 
 
+@pytest.mark.parametrize("form", ["padded.glb", "trailing.GLB", "bom.gltf", "capitals.GLTF"])
+def test_a_file_is_read_as_old_and_careless_programs_write_it(tmp_path: Path, form: str) -> None:
+    document, binary = glb_parts(RIG)
+    data = glb_bytes(document, binary)
+    if form == "padded.glb":  # with 0, not with spaces
+        size = int.from_bytes(data[12:16], "little")
+        text = data[20 : 20 + size].rstrip(b" ")
+        text += bytes(4 - len(text) % 4)
+        rest = len(text).to_bytes(4, "little") + b"JSON" + text + data[20 + size :]
+        data = data[:8] + (12 + len(rest)).to_bytes(4, "little") + rest
+    elif form == "trailing.GLB":
+        data += bytes(4)
+    else:
+        uri = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+        document["buffers"][0]["uri"] = uri
+        data = json.dumps(document).encode("utf-8-sig" if form == "bom.gltf" else "utf-8")
+    (tmp_path / form).write_bytes(data)
+
+    assert set(read_rig(tmp_path / form).shapes) == set(RIG.shapes)
+
+
 def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) -> None:
     data = glb.read_bytes()
     path = tmp_path / "short.glb"
@@ -162,6 +184,8 @@ def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) 
         (("meshes", 0, "primitives", 0, "material"), 77, "materials 77"),
         (("nodes", 0, "rotation"), [0, 0], "malformed.*ValueError"),
         (("nodes", 0, "children"), [0], "several parents"),
+        (("extensionsRequired",), ["KHR_draco_mesh_compression"], "'KHR_draco_mesh_compression'"),
+        (("extensionsRequired",), ["EXT_meshopt_compression"], "'EXT_meshopt_compression'"),
         (("extensionsRequired",), ["ADOBE_materials_thin"], "export without it"),
         (("accessors",), "none", "malformed.*TypeError"),
     ],

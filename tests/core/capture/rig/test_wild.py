@@ -170,6 +170,11 @@ def open_at_rest(rig: WildRig) -> None:
     mesh["weights"] = [0.0] * (len(rig.primitives[0]["targets"]) - 1) + [1.0]
 
 
+def open_by_its_node(rig: WildRig) -> None:
+    open_at_rest(rig)
+    rig.document["nodes"][0]["weights"] = rig.document["meshes"][0].pop("weights")
+
+
 def sparse(rig: WildRig) -> None:
     rig.sparse = {t["POSITION"] for t in rig.primitives[0]["targets"]}
 
@@ -191,6 +196,14 @@ def glasses(rig: WildRig) -> None:
     rig.document["materials"].append(glass)
     lens = {**rig.primitives[0], "indices": index, "material": len(rig.document["materials"]) - 1}
     rig.document["meshes"][0]["primitives"].append(lens)
+
+
+def lines_in_the_picture(rig: WildRig) -> None:
+    """The last ring of each eyeball has the coordinates of the one before: lines hang there."""
+    uv = rig.arrays[rig.primitives[0]["attributes"]["TEXCOORD_0"]]
+    for eye in rig.primitives[1:3]:
+        rings = np.unique(rig.arrays[eye["indices"]]).reshape(10, -1)
+        uv[rings[[0, -1]]] = uv[rings[[1, -2]]]
 
 
 def strips(rig: WildRig) -> None:
@@ -302,7 +315,8 @@ FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
         repeated, transformed, second_uv, quantized, jointed, tinted,
-        named_by_targets, open_at_rest, sparse, glasses, strips, glossy,
+        named_by_targets, open_at_rest, open_by_its_node, sparse, lines_in_the_picture,
+        glasses, strips, glossy,
         like_ready_player_me, like_vroid, named_by_maya, named_by_blender, exported_by_unity,
     )
 }  # fmt: skip
