@@ -73,6 +73,10 @@ class Friend(Member):
         self._line_bytes = 0.0
         self._under_way: OutboundMessage | None = None
 
+    def listen(self, now: float) -> list[Message | Frame]:
+        """Nothing comes but by the line: `read` takes it."""
+        return []
+
     def publish(self, step: int, now: float) -> None:
         """Send a face at 25 frames a second, and as many packets of voice."""
         kind = ("face", "voice")[step % 2]
