@@ -4,6 +4,7 @@ import asyncio
 import shutil
 import socket
 import ssl
+from asyncio import sslproto
 from contextlib import suppress
 from pathlib import Path
 
@@ -117,6 +118,7 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             monkeypatch.setenv("SSL_CERT_FILE", str(renewed))
             websocket = await open_websocket(relay.url)
             assert bound_tls_buffer(websocket.transport)
+            assert sslproto.SSLProtocol.max_size <= 32_768  # what each connection sets aside
             await websocket.close()
             assert link.is_joined
             assert link.reconnects == 0

@@ -12,6 +12,7 @@ its place is refused: an eavesdropper could try passwords offline.
 import hashlib
 import os
 import re
+import stat
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from pica_client.errors import SealError
+from pica_client.system import say
 from pica_protocol.limits import text_of_file
 
 SECRET_BYTES: Final = 32
@@ -71,12 +73,15 @@ def load_secret(path: Path) -> RoomSecret:
     try:
         with path.open("rb") as file:
             found = _LINE.fullmatch(text_of_file(file.read(256)))
+            is_open = os.name == "posix" and os.fstat(file.fileno()).st_mode & stat.S_IROTH
     except UnicodeDecodeError:
         found = None
     except OSError as error:
         raise SealError(f"{path}: cannot be read: {error.strerror or error}") from error
     if found is None:
         raise SealError(f"{path}: is no room secret; make one with `pica secret FILE`")
+    if is_open:
+        say(f"{path}: every user of this machine can read it; `chmod 600` keeps it secret")
     return RoomSecret(urlsafe_b64decode(found[1]))
 
 

@@ -24,9 +24,16 @@ def test_a_secret_comes_back_from_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="other rights")
-def test_nobody_else_can_read_the_file(tmp_path: Path) -> None:
+def test_nobody_else_can_read_the_file_or_it_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     secret(SecretOptions(file=tmp_path / "secret"))
     assert (tmp_path / "secret").stat().st_mode & 0o777 == 0o600
+    load_secret(tmp_path / "secret")
+    assert capsys.readouterr().err.count("can read it") == 0
+    (tmp_path / "secret").chmod(0o644)
+    load_secret(tmp_path / "secret")
+    assert capsys.readouterr().err.count("every user of this machine can read it") == 1
 
 
 def test_every_secret_is_another_and_is_not_shown(

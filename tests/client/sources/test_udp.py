@@ -25,7 +25,7 @@ from pica_client.sources.calibration import (
 )
 from pica_client.sources.live_face import TrackerSample
 from pica_client.sources.registry import decoder_of, open_live, parse_live
-from pica_client.sources.tracker import UdpOptions, UdpTracker
+from pica_client.sources.tracker import MAX_SUBJECTS, UdpOptions, UdpTracker
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 pytestmark = pytest.mark.unit
@@ -84,6 +84,15 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
         )
         until(lambda: tracker.subjects["Ada"] == 1)
         assert len(tracker.face.recent) == tracker.subjects["Ben"]
+
+
+def test_a_sender_of_many_names_fills_no_memory(phone: socket.socket) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
+        for number in (*range(20), 0):
+            packet = tracker_packets.live_link({}, frame=number, subject=f"face {number}")
+            phone.sendto(packet, ("127.0.0.1", tracker.port))
+        until(lambda: tracker.subjects["face 0"] == 2)
+        assert len(tracker.subjects) == MAX_SUBJECTS
 
 
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:

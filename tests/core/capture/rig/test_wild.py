@@ -17,6 +17,7 @@ from PIL import Image
 from helpers.rig_toy import document_of, glb_bytes, packed, toy_rig
 from pica_core.camera import dome_cameras
 from pica_core.capture.rig.gltf import read_rig
+from pica_core.capture.rig.source import GltfFile
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.subject import RigSubject
 from pica_core.errors import CaptureError
@@ -401,6 +402,18 @@ def test_eyes_that_are_caps_of_spheres_are_found_by_their_material(tmp_path: Pat
 
     assert [round(eye.radius_m, 3) for eye in subject.head.mesh.eyes] == [0.012, 0.012]
     np.testing.assert_allclose(subject.head.mesh.eyes[0].centre_m, [0.032, 0.022, 0.074], atol=1e-4)
+
+
+def test_a_file_that_is_named_many_times_counts_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = GltfFile(write_beside(tmp_path))
+    size = len(file.resource("skin%20%231.png"))
+    monkeypatch.setattr("pica_core.capture.rig.source.MAX_FILE_BYTES", 3 * size)
+    for _ in range(2):
+        file.resource("skin%20%231.png")
+    with pytest.raises(CaptureError, match="files beside it have more than"):
+        file.resource("skin%20%231.png")
 
 
 @pytest.mark.parametrize(
