@@ -8,6 +8,7 @@ the variable ``PICA_RELAY_LIMITS_JOINS_PER_S`` and the key ``joins_per_s`` of th
 Commands that join a room share a few options: ``PICA_URL``, and ``url`` above all tables.
 """
 
+import codecs
 import inspect
 import os
 import re
@@ -157,7 +158,9 @@ def _description(function: Any) -> str:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        content = file.read_bytes()
+        is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # PowerShell's
+        return tomllib.loads(content.decode("utf-16" if is_utf_16 else "utf-8-sig"))
     except OSError as error:
         raise UsageError(f"{file}: {error.strerror}") from error
     except ValueError as error:

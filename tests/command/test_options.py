@@ -94,6 +94,12 @@ def write(tmp_path: Path) -> Callable[[str], str]:
     return _write
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_file_is_read_as_notepad_and_powershell_write_it(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "tea.toml").write_text("[brew]\r\ncups = 3\r\n", encoding=encoding)
+    assert read("kettle", "--config", str(tmp_path / "tea.toml")).tea.cups == 3
+
+
 def test_flags_go_before_the_environment_that_before_the_file_that_before_defaults(
     write: Callable[[str], str],
 ) -> None:

@@ -163,7 +163,7 @@ def read_text(path: Path) -> str:
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON map."""
     try:
-        value = json.loads(read_text(path))
+        value = json.loads(read_text(path).removeprefix("\ufeff"))
     except (ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not JSON ({error})") from error
     if not isinstance(value, dict):

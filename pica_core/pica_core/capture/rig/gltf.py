@@ -322,7 +322,7 @@ class _Builder:
         key = (*used, *at, *move, placed.weights)
         if key not in self.shared:
             self.shared[key] = self._add_vertices(
-                attributes, dict(zip(names, at, strict=True)), placed, look
+                attributes, list(zip(names, at, strict=True)), placed, look
             )
         if look.image is None and ("COLOR_0" in attributes or (look.colour != 1).any()):
             self.materials[number] = replace(look, image=WHITE)
@@ -345,7 +345,7 @@ class _Builder:
     def _add_vertices(
         self,
         attributes: dict[str, Any],
-        targets: dict[str, Any],
+        targets: list[tuple[str, Any]],
         placed: _Placed,
         look: _Material,
     ) -> slice:
@@ -378,7 +378,7 @@ class _Builder:
             colours *= same_count("vertex colours", file.accessor(at, width))[:, :3]
         self.colours.append(colours)
         self.count = span.stop
-        for number, (name, index) in enumerate(targets.items()):
+        for number, (name, index) in enumerate(targets):
             if index is not None:
                 delta = same_count(f"in morph target {name!r}", file.accessor(index, 3))
                 moved = np.einsum("...ij,...j->...i", linear, delta.astype(np.float32))

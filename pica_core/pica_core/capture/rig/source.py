@@ -191,7 +191,7 @@ class GltfFile:
         """The JSON document of a binary file, whose buffer is kept."""
         magic, version, length = struct.unpack_from("<III", data)
         if magic != MAGIC or version != 2:
-            raise CaptureError(f"{self.path}: not a binary glTF 2.0 file")
+            raise CaptureError(f"{self.path}: not a glTF 2.0 file (.glb, .vrm or .gltf)")
         if length > len(data):
             raise CaptureError(f"{self.path}: {len(data)} bytes; its header says {length}")
         chunks: dict[int, bytes] = {}

@@ -91,7 +91,8 @@ def test_what_moves_decides_which_of_several_names_drives() -> None:
 
 def test_a_table_goes_before_the_rules(tmp_path: Path) -> None:
     path = tmp_path / "names.json"
-    path.write_text(json.dumps({"viseme_aa": "jawOpen", "jawOpen": None}))
+    table = json.dumps({"viseme_aa": "jawOpen", "jawOpen": None})
+    path.write_text(table, encoding="utf-8-sig")  # as Notepad saves it
 
     names = map_names(["jawOpen", "viseme_aa"], read_names(path))
 

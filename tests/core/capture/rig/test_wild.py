@@ -167,7 +167,9 @@ def open_at_rest(rig: WildRig) -> None:
     for primitive in rig.primitives:
         primitive["targets"] = [*primitive["targets"], {"POSITION": index}]
     mesh = rig.document["meshes"][0]
-    mesh["extras"]["targetNames"] = [*mesh["extras"]["targetNames"], "Chin_Long"]
+    for primitive in rig.primitives:  # another one of the same name comes before it
+        primitive["targets"] = [{"POSITION": rig.add(0 * shape)}, *primitive["targets"]]
+    mesh["extras"]["targetNames"] = ["odd", *mesh["extras"]["targetNames"], "odd"]
     mesh["weights"] = [0.0] * (len(rig.primitives[0]["targets"]) - 1) + [1.0]
 
 
