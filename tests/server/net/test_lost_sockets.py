@@ -6,6 +6,7 @@ import socket
 
 import pytest
 
+from pica_client.errors import RelayUnreachableError
 from pica_client.transport.connect import open_websocket
 from pica_protocol import SUBPROTOCOL
 from pica_server.config import RelayConfig
@@ -83,6 +84,51 @@ def test_probes_of_all_kinds_are_answered(asked: str, version: str) -> None:
     head, _, body = asyncio.run(scenario()).partition(b"\r\n\r\n")
     assert head.split()[1] == b"200"
     assert body == (b"" if asked.startswith("HEAD") else b"ok\n")
+
+
+def test_a_first_address_that_is_silent_does_not_keep_from_the_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def scenario() -> None:
+        loop = asyncio.get_running_loop()
+        connect = loop.sock_connect
+
+        async def connect_or_wait(sock: socket.socket, address: tuple[str, int]) -> None:
+            if address[0] == "127.0.0.2":
+                await asyncio.sleep(60)
+            await connect(sock, address)
+
+        async def look_up(host: str, port: int, **_: object) -> list[object]:
+            found = [(each, port) for each in ("127.0.0.2", "127.0.0.1")]
+            return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", each) for each in found]
+
+        async with Relay(RelayConfig(port=0)) as relay, asyncio.timeout(30):
+            monkeypatch.setattr(loop, "sock_connect", connect_or_wait)
+            monkeypatch.setattr(loop, "getaddrinfo", look_up)
+            port = relay.url.rpartition(":")[2]
+            async with await open_websocket(f"ws://relay.example:{port}") as websocket:
+                assert websocket.subprotocol == SUBPROTOCOL
+
+    monkeypatch.setenv("no_proxy", "*")
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("mark", ["%", "%25"])
+def test_a_zone_is_taken_as_it_is_written(monkeypatch: pytest.MonkeyPatch, mark: str) -> None:
+    asked = []
+
+    async def look_up(host: str, port: int, **_: object) -> list[object]:
+        asked.append(host)
+        raise socket.gaierror(socket.EAI_NONAME, "no such zone here")
+
+    async def scenario() -> None:
+        monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", look_up)
+        with pytest.raises(RelayUnreachableError):
+            await open_websocket(f"ws://[fe80::1{mark}eth0]:8765")
+
+    monkeypatch.setenv("no_proxy", "*")
+    asyncio.run(scenario())
+    assert asked == ["fe80::1%eth0"]
 
 
 @pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
