@@ -85,16 +85,13 @@ def test_sound_is_read_as_programs_and_pipes_leave_it(
 ) -> None:
     tone, (tag, dtype), (riff, chunks) = 0.5 * np.sin(np.arange(480) / 9), kind, before
     whole = np.round(tone * 2**31).astype("<i4")
-    data = (whole >> 16).astype("<i2").tobytes() if dtype == "<i2" else whole.tobytes()
-    if dtype == "<f4":
-        data = tone.astype("<f4").tobytes()
-    if dtype == "24":
-        data = whole.view(np.uint8).reshape(-1, 4)[:, 1:].tobytes()
+    stored = {"<i2": (whole >> 16).astype("<i2"), "<i4": whole, "<f4": tone.astype("<f4")}
+    stored["24"] = whole.view(np.uint8).reshape(-1, 4)[:, 1:]
+    data = stored[dtype].tobytes()
     width = len(data) // 480
     layout = struct.pack("<HIIHH", 1, 48_000, 48_000 * width, width, 8 * width)
     layout = struct.pack("<H", 0xFFFE if is_extensible else tag) + layout
-    if is_extensible:
-        layout += struct.pack("<HHIH", 22, 8 * width, 4, tag) + TRUE_KIND
+    layout += struct.pack("<HHIH", 22, 8 * width, 4, tag) + TRUE_KIND if is_extensible else b""
     rest = b"WAVE" + chunks + chunk(b"fmt ", layout) + chunk(b"data", data, size)
     (tmp_path / "a.wav").write_bytes(riff + struct.pack("<I", len(rest)) + rest)
 

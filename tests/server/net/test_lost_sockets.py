@@ -6,7 +6,6 @@ import socket
 
 import pytest
 
-from pica_client.errors import RelayUnreachableError
 from pica_client.transport.connect import open_websocket
 from pica_protocol import SUBPROTOCOL
 from pica_server.config import RelayConfig
@@ -86,7 +85,7 @@ def test_probes_of_all_kinds_are_answered(asked: str, version: str) -> None:
     assert body == (b"" if asked.startswith("HEAD") else b"ok\n")
 
 
-def test_a_first_address_that_is_silent_does_not_keep_from_the_second(
+def test_a_zone_is_understood_and_a_silent_first_address_keeps_from_no_second(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def scenario() -> None:
@@ -99,6 +98,7 @@ def test_a_first_address_that_is_silent_does_not_keep_from_the_second(
             await connect(sock, address)
 
         async def look_up(host: str, port: int, **_: object) -> list[object]:
+            assert host == "fe80::1%eth0"
             found = [(each, port) for each in ("127.0.0.2", "127.0.0.1")]
             return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", each) for each in found]
 
@@ -106,29 +106,11 @@ def test_a_first_address_that_is_silent_does_not_keep_from_the_second(
             monkeypatch.setattr(loop, "sock_connect", connect_or_wait)
             monkeypatch.setattr(loop, "getaddrinfo", look_up)
             port = relay.url.rpartition(":")[2]
-            async with await open_websocket(f"ws://relay.example:{port}") as websocket:
+            async with await open_websocket(f"ws://[fe80::1%25eth0]:{port}") as websocket:
                 assert websocket.subprotocol == SUBPROTOCOL
 
     monkeypatch.setenv("no_proxy", "*")
     asyncio.run(scenario())
-
-
-@pytest.mark.parametrize("mark", ["%", "%25"])
-def test_a_zone_is_taken_as_it_is_written(monkeypatch: pytest.MonkeyPatch, mark: str) -> None:
-    asked = []
-
-    async def look_up(host: str, port: int, **_: object) -> list[object]:
-        asked.append(host)
-        raise socket.gaierror(socket.EAI_NONAME, "no such zone here")
-
-    async def scenario() -> None:
-        monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", look_up)
-        with pytest.raises(RelayUnreachableError):
-            await open_websocket(f"ws://[fe80::1{mark}eth0]:8765")
-
-    monkeypatch.setenv("no_proxy", "*")
-    asyncio.run(scenario())
-    assert asked == ["fe80::1%eth0"]
 
 
 @pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
