@@ -114,14 +114,11 @@ async def test_no_page_whose_name_was_made_to_point_here_reads_what_is_for_this_
         assert found == [403, 200, 200, 501], "a proxy of ours may ask for what it likes"
 
 
-def test_a_relay_for_others_tells_them_that_it_lives_and_a_page_on_its_machine_no_numbers() -> None:
-    @in_virtual_time
-    async def call() -> None:
-        async with Relay(RelayConfig(host="0.0.0.0", insecure=True)):
-            for path, status in (("/metrics", 403), ("/healthz", 200)):
-                assert await http_status("127.0.0.1", path=path, asked=REBOUND) == status
-
-    call()
+@in_virtual_time
+async def test_a_relay_for_others_tells_them_that_it_lives_and_a_page_here_no_numbers() -> None:
+    async with Relay(RelayConfig(host="0.0.0.0", insecure=True)):
+        for path, status in (("/metrics", 403), ("/healthz", 200)):
+            assert await http_status("127.0.0.1", path=path, asked=REBOUND) == status
 
 
 @pytest.mark.parametrize(("proxies", "address"), [((), ""), (("127.0.0.1",), "203.0.113.9")])

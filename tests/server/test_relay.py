@@ -200,7 +200,8 @@ async def test_a_fault_outside_any_message_is_logged_and_ends_one_connection(
     assert [record.message for record in caplog.records] == ["connection failed"]
 
 
-def test_an_admin_lists_the_rooms_over_http(tmp_path: Path) -> None:
+@in_virtual_time
+async def test_an_admin_lists_the_rooms_over_http(tmp_path: Path) -> None:
     path = tmp_path / "keys"
     path.write_text(new_key_line())
     operator = Admission(identity="op", may_admin=True)
@@ -215,33 +216,25 @@ def test_an_admin_lists_the_rooms_over_http(tmp_path: Path) -> None:
         writer.close()
         return answer
 
-    @in_virtual_time
-    async def scenario() -> None:
-        async with Relay(RelayConfig(keys=path, host="0.0.0.0"), unix_time=lambda: 1e9):
-            answer = await ask(shown)
-            assert answer.startswith(b"HTTP/1.1 200")
-            assert answer.count(b"Content-Type: ") == answer.count(b"application/json") == 1
-            assert (await ask()).startswith(b"HTTP/1.1 401")
-            assert (await ask(shown, shown)).startswith(b"HTTP/1.1 401")
-
-    scenario()
+    async with Relay(RelayConfig(keys=path, host="0.0.0.0"), unix_time=lambda: 1e9):
+        answer = await ask(shown)
+        assert answer.startswith(b"HTTP/1.1 200")
+        assert answer.count(b"Content-Type: ") == answer.count(b"application/json") == 1
+        assert (await ask()).startswith(b"HTTP/1.1 401")
+        assert (await ask(shown, shown)).startswith(b"HTTP/1.1 401")
 
 
-def test_a_key_that_is_removed_lets_nobody_in_after_ten_minutes(tmp_path: Path) -> None:
+@in_virtual_time
+async def test_a_key_that_is_removed_lets_nobody_in_after_ten_minutes(tmp_path: Path) -> None:
     path = tmp_path / "keys"
     path.write_text(new_key_line())
     old = mint(load_keys(path), "lobby", Admission(identity="ada"), now=1e9, lasts_s=60)
-
-    @in_virtual_time
-    async def scenario() -> None:
-        async with Relay(RelayConfig(keys=path), unix_time=lambda: 1e9):
-            for what, is_let_in in (("no keys", True), (new_key_line(), False)):
-                path.write_text(what)
-                await asyncio.sleep(CERTIFICATE_PERIOD_S + 1)
-                async with peer_in_room(URL, "Ada", tracks=(), token=old) as ada:
-                    assert (ada.session.state is State.JOINED) == is_let_in
-
-    scenario()
+    async with Relay(RelayConfig(keys=path), unix_time=lambda: 1e9):
+        for what, is_let_in in (("no keys", True), (new_key_line(), False)):
+            path.write_text(what)
+            await asyncio.sleep(CERTIFICATE_PERIOD_S + 1)
+            async with peer_in_room(URL, "Ada", tracks=(), token=old) as ada:
+                assert (ada.session.state is State.JOINED) == is_let_in
 
 
 @in_virtual_time

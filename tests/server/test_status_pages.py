@@ -40,8 +40,8 @@ def pages(config: RelayConfig | None = None) -> tuple[StatusPages, Hub]:
     return StatusPages(hub, config, None, admin_room), hub
 
 
-def status(pages: StatusPages, path: str, now: float, *, is_local: bool = True) -> int | None:
-    page = pages.answer(path, is_local=is_local, now=now)
+def status(pages: StatusPages, path: str, now: float) -> int | None:
+    page = pages.answer(path, is_local=True, now=now)
     return None if page is None else page.status
 
 
@@ -59,17 +59,6 @@ def test_a_relay_that_sends_everybody_away_is_not_ready_but_well() -> None:
     page = answers.answer("/readyz", is_local=True, now=0.0)
     assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "draining\n")
     assert status(answers, "/healthz", now=0.0) == 200
-
-
-def test_numbers_are_for_this_machine_unless_told_otherwise() -> None:
-    closed, _ = pages()
-    assert status(closed, "/metrics", now=0.0) == 200
-    assert status(closed, "/metrics", now=0.0, is_local=False) == 403
-
-
-def test_other_paths_are_for_websockets() -> None:
-    answers, _ = pages()
-    assert status(answers, "/", now=0.0) is None
 
 
 def test_every_line_of_the_numbers_is_one_that_prometheus_reads() -> None:

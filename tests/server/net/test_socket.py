@@ -2,6 +2,8 @@
 
 import asyncio
 import random
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import cast
 
 import pytest
@@ -65,14 +67,26 @@ def websocket_bytes(data: bytes, *, opcode: Opcode = Opcode.BINARY, fin: bool = 
     return WebsocketFrame(opcode, data, fin=fin).serialize(mask=True)
 
 
-def media(peer: WirePeer, number: int, num_bytes: int) -> bytes:
-    frame = Frame(
-        stream=peer.session.tracks[0].stream,
-        sequence=number,
-        captured_us=number,
-        payload=bytes(num_bytes),
-    )
+def media(number: int, num_bytes: int) -> bytes:
+    """A message of the first who joins, whose stream is 1."""
+    frame = Frame(stream=1, sequence=number, captured_us=number, payload=bytes(num_bytes))
     return media_message([encode_frame(frame)])
+
+
+MESSAGES = [websocket_bytes(media(number, 6)) for number in range(9)]
+FRAGMENTED = websocket_bytes(media(1, 6)[:9], fin=False) + websocket_bytes(
+    media(1, 6)[9:], opcode=Opcode.CONT
+)
+
+
+@asynccontextmanager
+async def ada_and_bob() -> AsyncIterator[tuple[Relay, WirePeer, WirePeer]]:
+    async with (
+        Relay(RelayConfig()) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob") as bob,
+    ):
+        yield relay, ada, bob
 
 
 async def send_in_pieces(peer: WirePeer, data: bytes, sizes: list[int]) -> None:
@@ -92,14 +106,10 @@ def sequences(peer: WirePeer) -> list[int]:
 @in_virtual_time
 async def test_messages_cut_anywhere_on_their_way_arrive_whole_and_in_order(seed: int) -> None:
     rng = random.Random(seed)
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
+    async with ada_and_bob() as (_, ada, bob):
         # Short ones and long ones, a ping between two of them.
         stream = b"".join(
-            websocket_bytes(media(ada, number, rng.choice((0, 6, 108, 109, 110, 600))))
+            websocket_bytes(media(number, rng.choice((0, 6, 108, 109, 110, 600))))
             + (websocket_bytes(b"?", opcode=Opcode.PING) if number == 5 else b"")
             for number in range(12)
         )
@@ -109,12 +119,8 @@ async def test_messages_cut_anywhere_on_their_way_arrive_whole_and_in_order(seed
 
 @in_virtual_time
 async def test_bytes_that_look_like_a_frame_in_the_middle_of_one_are_none() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
-        message = media(ada, 0, 60)
+    async with ada_and_bob() as (_, ada, bob):
+        message = media(0, 60)
         # Masked, it begins as a short binary frame would. The header comes first, and alone.
         mask = bytes([message[0] ^ 0x82, message[1] ^ 0x81, 0, 0])
         masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(message))
@@ -125,70 +131,30 @@ async def test_bytes_that_look_like_a_frame_in_the_middle_of_one_are_none() -> N
         assert ada.session.closed is None
 
 
+@pytest.mark.parametrize(
+    ("stream", "heard", "code"),
+    [
+        (b"".join(MESSAGES), list(range(9)), None),
+        (MESSAGES[0] + FRAGMENTED + MESSAGES[2] + MESSAGES[3], [0, 1, 2, 3], None),
+        (WebsocketFrame(Opcode.BINARY, media(0, 6)).serialize(mask=False) + MESSAGES[1], [], 1002),
+        (websocket_bytes(b"\x02nonsense") + MESSAGES[1], [], CloseCode.MALFORMED),
+    ],
+    ids=["in one go", "fragmented", "after no websocket", "after a bad message"],
+)
 @in_virtual_time
-async def test_messages_sent_in_one_go_replace_each_other_nowhere() -> None:
-    async with (
-        Relay(RelayConfig()) as relay,
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
-        await send_in_pieces(ada, b"".join(websocket_bytes(media(ada, n, 6)) for n in range(9)), [])
-        assert sequences(bob) == list(range(9))
-        assert relay.hub.stats.dropped["replaced"] == 0
-
-
-@in_virtual_time
-async def test_a_fragmented_message_is_overtaken_by_none_that_come_after_it() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
-        whole = media(ada, 1, 6)
-        stream = (
-            websocket_bytes(media(ada, 0, 6))
-            + websocket_bytes(whole[:9], fin=False)
-            + websocket_bytes(whole[9:], opcode=Opcode.CONT)
-            + websocket_bytes(media(ada, 2, 6))
-            + websocket_bytes(media(ada, 3, 6))
-        )
+async def test_messages_of_one_read_come_in_order_and_none_behind_one_that_closes(
+    stream: bytes, heard: list[int], code: int | None
+) -> None:
+    async with ada_and_bob() as (relay, ada, bob):
         await send_in_pieces(ada, stream, [40])
-        assert sequences(bob) == [0, 1, 2, 3]
-
-
-@in_virtual_time
-async def test_a_message_after_bytes_that_are_no_websocket_is_not_taken() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
-        unmasked = WebsocketFrame(Opcode.BINARY, media(ada, 0, 6)).serialize(mask=False)
-        await send_in_pieces(ada, unmasked + websocket_bytes(media(ada, 1, 6)), [])
-        assert (await ada.until(Closed)).code == 1002
-        assert sequences(bob) == []
-
-
-@in_virtual_time
-async def test_a_message_behind_one_that_closes_the_connection_is_not_taken() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
-        stream = websocket_bytes(b"\x02nonsense") + websocket_bytes(media(ada, 1, 6))
-        await send_in_pieces(ada, stream, [])
-        assert (await ada.until(Closed)).code == CloseCode.MALFORMED
-        assert sequences(bob) == []
+        assert sequences(bob) == heard
+        assert relay.hub.stats.dropped["replaced"] == 0
+        assert (ada.session.closed and ada.session.closed.code) == code
 
 
 @in_virtual_time
 async def test_who_floods_with_pings_is_closed_although_it_reads_no_answer() -> None:
-    async with (
-        Relay(RelayConfig()) as relay,
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
+    async with ada_and_bob() as (relay, ada, bob):
         pings = websocket_bytes(b"?" * 125, opcode=Opcode.PING) * 100
         await send_in_pieces(ada, pings, [])
         assert ada.session.closed is None  # so many at once are allowed

@@ -35,17 +35,6 @@ def draining_hub(**limits: float) -> Hub:
     return Hub(config)
 
 
-def test_a_room_goes_together_and_nobody_is_told_how_the_others_leave() -> None:
-    hub = draining_hub()
-    guests = [guest_in(hub, "tea") for _ in range(3)]
-    for guest in guests:
-        guest.listen(0.0)
-    hub.drain(now=1.0)
-    bye = Bye(code=1001, reason="the relay is stopping", url=ELSEWHERE)
-    assert [guest.listen(1.0) for guest in guests] == [[bye]] * 3
-    assert hub.num_connections == 0
-
-
 def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
     hub = draining_hub()
     ada, bob = guest_in(hub, "tea"), guest_in(hub, "tea")

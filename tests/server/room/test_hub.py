@@ -55,8 +55,7 @@ def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_it() -> None:
     own = b"\x00\x01" + bytes(6)
     bobs = b"\x00\x02" + bytes(6)
     hub.receive(ada.connection, [b"\x02" + bobs + own], now=1.0)
-    assert ada.connection.closed is not None
-    assert ada.connection.closed.code == CloseCode.FOREIGN_STREAM
+    assert ada.closed_code == CloseCode.FOREIGN_STREAM
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.session.peer_id, reason="removed")]
 
 
@@ -69,8 +68,7 @@ def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> No
         hub.disconnect(guest.connection, 1006, "", now=1.0)
         ada.listen(now=1.0)
         assert bob.connection.outbox.waiting_control_bytes <= MAX_CONTROL_BYTES + 200
-    assert bob.connection.closed is not None
-    assert bob.connection.closed.code == CloseCode.TOO_SLOW
+    assert bob.closed_code == CloseCode.TOO_SLOW
     assert bob.session.peer_id not in ada.session.peers
     heard = bob.listen(now=2.0)
     assert isinstance(heard[-1], Bye)  # and what had piled up before it, in order
@@ -92,15 +90,11 @@ def test_a_peer_that_merely_has_nothing_to_read_is_not_late() -> None:
     hub, (ada, _) = hub_with("Ada", "Bob")
     for second in range(100):
         hub.handle_timer(float(second))
-    assert ada.connection.closed is None
+    assert ada.closed_code is None
 
 
 def hub_of_limits(**limits: float) -> Hub:
     return Hub(RelayConfig(limits=LimitsConfig(**limits)))  # type: ignore[arg-type]
-
-
-def closed_code(member: Member) -> int | None:
-    return None if member.connection.closed is None else member.connection.closed.code
 
 
 def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
@@ -108,10 +102,10 @@ def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
     ada, flood = Member(hub, "Ada"), Member(hub, "Flood")
     for i in range(300):
         ada.send_frame(b"x", now=i / 30)
-        if closed_code(flood) is None:
+        if flood.closed_code is None:
             flood.send_frame(b"x", now=i / 300)
-    assert closed_code(ada) is None
-    assert closed_code(flood) == CloseCode.TOO_FAST
+    assert ada.closed_code is None
+    assert flood.closed_code == CloseCode.TOO_FAST
     assert hub.stats.limits_hit == {"bytes": 1}
 
 
@@ -120,10 +114,10 @@ def test_what_piled_up_on_the_way_is_no_flood_and_who_has_just_come_saved_nothin
     ada, new = Member(hub, "Ada"), Member(hub, "New", now=20.0)
     for i in range(300):  # of ten seconds
         ada.send_frame(b"x", now=20.0 + i / 1e5)
-        if closed_code(new) is None:
+        if new.closed_code is None:
             new.send_frame(b"x", now=20.0 + i / 1e5)
-    assert closed_code(ada) is None
-    assert closed_code(new) == CloseCode.TOO_FAST
+    assert ada.closed_code is None
+    assert new.closed_code == CloseCode.TOO_FAST
 
 
 def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
@@ -131,17 +125,17 @@ def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
     ada = Member(hub, "Ada")
     frame = b"\x00\x01" + bytes(6)
     hub.receive(ada.connection, [b"\x02" + frame * 9], now=1.0)
-    assert closed_code(ada) is None
+    assert ada.closed_code is None
     hub.receive(ada.connection, [b"\x02" + frame * 3], now=1.1)
-    assert closed_code(ada) == CloseCode.TOO_FAST
+    assert ada.closed_code == CloseCode.TOO_FAST
     assert hub.stats.frames_in == 9
 
 
 def test_more_joins_than_the_relay_takes_are_told_to_come_later() -> None:
     hub = hub_of_limits(joins_per_s=1, joins_burst=3)
     guests = [Member(hub, f"Guest {i}", now=1.0) for i in range(5)]
-    assert [closed_code(guest) for guest in guests] == [None] * 3 + [CloseCode.BUSY] * 2
-    assert closed_code(Member(hub, "Later", now=2.0)) is None
+    assert [guest.closed_code for guest in guests] == [None] * 3 + [CloseCode.BUSY] * 2
+    assert Member(hub, "Later", now=2.0).closed_code is None
     assert hub.stats.limits_hit == {"joins": 2}
 
 
@@ -154,8 +148,8 @@ def test_who_may_not_join_does_not_use_up_the_joins_of_those_who_may() -> None:
     limits = LimitsConfig(joins_per_s=1, joins_burst=1)
     hub = Hub(RelayConfig(limits=limits), admit)
     strangers = [Member(hub, f"Stranger {i}") for i in range(5)]
-    assert {closed_code(stranger) for stranger in strangers} == {CloseCode.UNAUTHORIZED}
-    assert closed_code(Member(hub, "Ada")) is None
+    assert {stranger.closed_code for stranger in strangers} == {CloseCode.UNAUTHORIZED}
+    assert Member(hub, "Ada").closed_code is None
 
 
 def test_one_identity_does_not_use_up_the_joins_of_the_others() -> None:
@@ -166,23 +160,23 @@ def test_one_identity_does_not_use_up_the_joins_of_the_others() -> None:
         new_secret=lambda: "t",
     )
     greedy = [Member(hub, "Eve") for _ in range(30)]
-    assert [closed_code(each) for each in greedy].count(CloseCode.BUSY) == 20
+    assert [each.closed_code for each in greedy].count(CloseCode.BUSY) == 20
     ada = Member(hub, "Ada", resumable=True)
-    assert closed_code(ada) is None
-    assert closed_code(Member(hub, "Ben")) == CloseCode.BUSY
+    assert ada.closed_code is None
+    assert Member(hub, "Ben").closed_code == CloseCode.BUSY
     back = Member(hub, "Ada", resumable=True, former=ada.session)
-    assert closed_code(back) is None
+    assert back.closed_code is None
     assert back.peer_id == ada.peer_id
 
 
 def test_one_address_has_a_limit_of_its_own_and_gets_its_places_back() -> None:
     hub = hub_of_limits(connections_per_address=2)
     members = [Member(hub, f"m{i}", address="192.0.2.1") for i in range(3)]
-    assert [closed_code(member) for member in members] == [None, None, CloseCode.TOO_MANY]
-    assert closed_code(Member(hub, "other", address="192.0.2.2")) is None
-    assert closed_code(Member(hub, "here")) is None
+    assert [member.closed_code for member in members] == [None, None, CloseCode.TOO_MANY]
+    assert Member(hub, "other", address="192.0.2.2").closed_code is None
+    assert Member(hub, "here").closed_code is None
     hub.disconnect(members[0].connection, 1006, "", now=1.0)
-    assert closed_code(Member(hub, "next", address="192.0.2.1")) is None
+    assert Member(hub, "next", address="192.0.2.1").closed_code is None
 
 
 def test_a_ghost_does_not_keep_who_comes_back_out_of_a_crowded_address() -> None:
@@ -193,14 +187,14 @@ def test_a_ghost_does_not_keep_who_comes_back_out_of_a_crowded_address() -> None
     joined = Joined(room="lobby", peer_id="p9", resume="guess")
     guess.receive_data(encode_message(joined), now=0.0)
     stranger = Member(hub, "Eve", address="192.0.2.1", now=1.0, resumable=True, former=guess)
-    assert closed_code(stranger) == CloseCode.TOO_MANY
+    assert stranger.closed_code == CloseCode.TOO_MANY
     former = ghost.session
     back = Member(hub, "Ada", address="192.0.2.1", now=2.0, resumable=True, former=former)
-    assert closed_code(back) is None
+    assert back.closed_code is None
     assert back.peer_id == ghost.peer_id
-    assert closed_code(ghost) == CloseCode.REPLACED
+    assert ghost.closed_code == CloseCode.REPLACED
     assert hub.stats.limits_hit == {"address": 1}
-    assert closed_code(Member(hub, "third", address="192.0.2.1")) == CloseCode.TOO_MANY
+    assert Member(hub, "third", address="192.0.2.1").closed_code == CloseCode.TOO_MANY
 
 
 def test_a_whisper_reaches_one_peer_under_its_senders_name() -> None:
@@ -233,7 +227,7 @@ def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:
             heard[-1] += len(bob.listen(now))
     assert heard == [128, 8, 128]
     assert hub.stats.whispers_dropped == {"rate": 600 - 264}
-    assert ada.connection.closed is None
+    assert ada.closed_code is None
 
 
 def test_whispers_do_not_get_a_slow_reader_closed() -> None:
@@ -242,7 +236,7 @@ def test_whispers_do_not_get_a_slow_reader_closed() -> None:
         for _ in range(100):
             ada.session.tell(Whisper(peer_id=bob.session.peer_id, data=bytes(512)))
         ada.speak(now=float(second))
-    assert bob.connection.closed is None
+    assert bob.closed_code is None
     assert bob.connection.outbox.waiting_control_bytes == 0
     assert (
         bob.connection.outbox.waiting_frames == hub.stats.whispers - hub.stats.dropped["overflow"]
