@@ -5,7 +5,8 @@ import shutil
 import socket
 import ssl
 from asyncio import sslproto
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -90,56 +91,56 @@ def served_certificate(host: str, port: int) -> bytes:
         return tls.getpeercert(binary_form=True) or b""
 
 
-def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
+@asynccontextmanager
+async def tls_relay(cert: Path, **limits: int) -> AsyncIterator[tuple[Relay, int]]:
+    """A relay with a certificate, and its port."""
+    config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert), limits=LimitsConfig(**limits))
+    async with Relay(config) as relay, asyncio.timeout(30):
+        yield relay, int(relay.url.rpartition(":")[2])
+
+
+@pytest.mark.asyncio
+async def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
     cert: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = shutil.copy(cert, tmp_path / "old.pem")
     monkeypatch.setenv("SSL_CERT_FILE", str(old))
 
-    async def call() -> None:
-        config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
-        joined: asyncio.Queue[str] = asyncio.Queue()
+    joined: asyncio.Queue[str] = asyncio.Queue()
 
-        def note(event: object, now: float) -> None:
-            if isinstance(event, Joined):
-                joined.put_nowait(event.peer_id)
+    def note(event: object, now: float) -> None:
+        if isinstance(event, Joined):
+            joined.put_nowait(event.peer_id)
 
-        async with Relay(config) as relay, asyncio.timeout(30):
-            assert relay.url.startswith("wss://127.0.0.1:")
-            assert relay.certificate is not None
-            port = int(relay.url.rpartition(":")[2])
-            link = Link(LinkConfig(url=relay.url, room="r"), on_event=note)
-            running = asyncio.create_task(link.run())
-            await joined.get()
-            renewed = write_certificate(tmp_path, "renewed")
-            relay.certificate.context = Certificate(renewed, key_of(renewed)).context
-            served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
-            assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
-            monkeypatch.setenv("SSL_CERT_FILE", str(renewed))
-            websocket = await open_websocket(relay.url)
-            assert bound_tls_buffer(websocket.transport)
-            assert sslproto.SSLProtocol.max_size <= 32_768  # what each connection sets aside
-            await websocket.close()
-            assert link.is_joined
-            assert link.reconnects == 0
-            link.leave()
-            await running
-
-    asyncio.run(call())
+    async with tls_relay(cert) as (relay, port):
+        assert relay.url.startswith("wss://127.0.0.1:")
+        assert relay.certificate is not None
+        link = Link(LinkConfig(url=relay.url, room="r"), on_event=note)
+        running = asyncio.create_task(link.run())
+        await joined.get()
+        renewed = write_certificate(tmp_path, "renewed")
+        relay.certificate.context = Certificate(renewed, key_of(renewed)).context
+        served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
+        assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
+        monkeypatch.setenv("SSL_CERT_FILE", str(renewed))
+        websocket = await open_websocket(relay.url)
+        assert bound_tls_buffer(websocket.transport)
+        assert sslproto.SSLProtocol.max_size <= 32_768  # what each connection sets aside
+        await websocket.close()
+        assert link.is_joined
+        assert link.reconnects == 0
+        link.leave()
+        await running
 
 
-def test_whom_a_client_does_not_trust_it_does_not_join(
+@pytest.mark.asyncio
+async def test_whom_a_client_does_not_trust_it_does_not_join(
     cert: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SSL_CERT_FILE", str(write_certificate(tmp_path, "other")))
-
-    async def call() -> None:
-        config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
-        async with Relay(config) as relay, asyncio.timeout(30):
-            with pytest.raises(RelayRefusedError, match=r"its certificate is not trusted: "):
-                await Link(LinkConfig(url=relay.url, room="r")).run()
-
-    asyncio.run(call())
+    async with tls_relay(cert) as (relay, _):
+        with pytest.raises(RelayRefusedError, match=r"its certificate is not trusted: "):
+            await Link(LinkConfig(url=relay.url, room="r")).run()
 
 
 def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:
@@ -165,39 +166,29 @@ def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:
     return b""
 
 
-def test_what_comes_with_the_end_of_the_handshake_is_not_lost(cert: Path) -> None:
-    async def ask() -> None:
-        async with Relay(RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))) as relay:
-            port = int(relay.url.rpartition(":")[2])
-            page = await asyncio.to_thread(page_asked_for_with_the_last_of_the_handshake, port)
-            assert page.startswith(b"HTTP/1.1 200 OK")
-
-    asyncio.run(ask())
+@pytest.mark.asyncio
+async def test_what_comes_with_the_end_of_the_handshake_is_not_lost(cert: Path) -> None:
+    async with tls_relay(cert) as (_, port):
+        page = await asyncio.to_thread(page_asked_for_with_the_last_of_the_handshake, port)
+        assert page.startswith(b"HTTP/1.1 200 OK")
 
 
-def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(
+@pytest.mark.asyncio
+async def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(
     cert: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SSL_CERT_FILE", str(cert))
-
-    async def call() -> None:
-        config = RelayConfig(
-            port=0, tls_cert=cert, tls_key=key_of(cert), limits=LimitsConfig(handshakes=2)
-        )
-        async with Relay(config) as relay, asyncio.timeout(30):
-            port = int(relay.url.rpartition(":")[2])
-            silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
-            reader, writer = await asyncio.open_connection("127.0.0.1", port)
-            with suppress(ConnectionResetError):
-                assert await reader.read() == b""  # cut without a word of TLS
-            assert relay.stats()["limits_hit"] == {"sockets": 1}
-            silent[0][1].transport.abort()
-            silent[1][1].write(b"no TLS at all")
-            with suppress(ConnectionResetError):
-                await silent[1][0].read()
-            websocket = await open_websocket(relay.url)
-            await websocket.close()
-            for each in (writer, silent[1][1]):
-                each.transport.abort()
-
-    asyncio.run(call())
+    async with tls_relay(cert, handshakes=2) as (relay, port):
+        silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        with suppress(ConnectionResetError):
+            assert await reader.read() == b""  # cut without a word of TLS
+        assert relay.stats()["limits_hit"] == {"sockets": 1}
+        silent[0][1].transport.abort()
+        silent[1][1].write(b"no TLS at all")
+        with suppress(ConnectionResetError):
+            await silent[1][0].read()
+        websocket = await open_websocket(relay.url)
+        await websocket.close()
+        for each in (writer, silent[1][1]):
+            each.transport.abort()

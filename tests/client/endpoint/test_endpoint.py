@@ -48,31 +48,27 @@ def make_receiver(url: str, publisher: Publisher | None = None) -> Receiver:
     )
 
 
-def test_a_source_that_fails_ends_the_call_and_is_closed() -> None:
+@pytest.mark.asyncio
+async def test_a_source_that_fails_ends_the_call_and_is_closed() -> None:
     source = Breaking()
     publisher = Publisher(SenderConfig(), source, make_toy_avatar(), "0" * 64)
-
-    async def call() -> None:
-        async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
-            with pytest.raises(ArithmeticError, match="the tracker broke"):
-                await make_receiver(relay.url, publisher).run()
-
-    asyncio.run(call())
+    async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
+        with pytest.raises(ArithmeticError, match="the tracker broke"):
+            await make_receiver(relay.url, publisher).run()
     assert publisher.source is not source  # it let go of it
 
 
-def test_who_is_told_to_stop_before_it_runs_does_not_begin() -> None:
-    async def call() -> None:
-        receiver = make_receiver("ws://127.0.0.1:9")
-        running = asyncio.create_task(receiver.run())
-        receiver.stop()
-        async with asyncio.timeout(PATIENCE_S):
-            await running
-
-    asyncio.run(call())
+@pytest.mark.asyncio
+async def test_who_is_told_to_stop_before_it_runs_does_not_begin() -> None:
+    receiver = make_receiver("ws://127.0.0.1:9")
+    running = asyncio.create_task(receiver.run())
+    receiver.stop()
+    async with asyncio.timeout(PATIENCE_S):
+        await running
 
 
-def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
+@pytest.mark.asyncio
+async def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
     told: queue.Queue[tuple[str, int]] = queue.Queue()
 
     def tell(message: FromMember) -> bool:
@@ -80,24 +76,21 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
         told.put((threading.current_thread().name, message.every))
         return True
 
-    async def call() -> None:
-        async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
-            bob = Link(LinkConfig(url=relay.url, name="Bob"), (FACE,))
-            talking = asyncio.create_task(bob.run())
-            receiver = make_receiver(relay.url)
-            receiver.link.tell = tell  # type: ignore[method-assign]
-            with receiver:
-                while not (faces := receiver.call.faces(0.0)):  # noqa: ASYNC110
-                    await asyncio.sleep(0.02)
-                (peer_id,) = (face.peer_id for face in faces)
-                for every in (4, 1):  # nothing else wakes the network's thread
-                    receiver.call.subscribe(peer_id, every, time.monotonic())
-                    found = await asyncio.to_thread(told.get, timeout=PATIENCE_S)
-                    assert found == ("receiver", every)
-            bob.leave()
-            await talking
-
-    asyncio.run(call())
+    async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
+        bob = Link(LinkConfig(url=relay.url, name="Bob"), (FACE,))
+        talking = asyncio.create_task(bob.run())
+        receiver = make_receiver(relay.url)
+        receiver.link.tell = tell  # type: ignore[method-assign]
+        with receiver:
+            while not (faces := receiver.call.faces(0.0)):  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+            (peer_id,) = (face.peer_id for face in faces)
+            for every in (4, 1):  # nothing else wakes the network's thread
+                receiver.call.subscribe(peer_id, every, time.monotonic())
+                found = await asyncio.to_thread(told.get, timeout=PATIENCE_S)
+                assert found == ("receiver", every)
+        bob.leave()
+        await talking
 
 
 def test_a_machine_too_busy_to_take_frames_as_they_come_blames_no_connection() -> None:

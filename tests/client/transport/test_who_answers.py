@@ -17,10 +17,6 @@ from pica_server.relay import Relay
 pytestmark = pytest.mark.call
 
 
-async def _run(url: str) -> None:
-    await Link(LinkConfig(url=url)).run()
-
-
 async def said_of(url: str) -> str:
     """What a link tells its user of a failed attempt."""
     with pytest.raises(RelayUnreachableError) as caught:
@@ -37,57 +33,47 @@ async def said_of(url: str) -> str:
         (b"", "ws", "something answers and hangs up; write wss:// if it speaks TLS"),
     ],
 )
-def test_a_stranger_is_quoted(answer: bytes, scheme: str, told: str) -> None:
-    async def main() -> str:
-        async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            await reader.read(100)
-            writer.write(answer)
-            writer.close()
+@pytest.mark.asyncio
+async def test_a_stranger_is_quoted(answer: bytes, scheme: str, told: str) -> None:
+    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(100)
+        writer.write(answer)
+        writer.close()
 
-        server = await asyncio.start_server(handle, "127.0.0.1", 0)
-        async with server:
-            port = server.sockets[0].getsockname()[1]
-            return await said_of(f"{scheme}://127.0.0.1:{port}")
-
-    assert told in asyncio.run(main())
+    async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        assert told in await said_of(f"{scheme}://127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("speaks_tls", [False, True])
-def test_a_relay_with_or_without_tls_is_met_with_the_other_scheme(
+@pytest.mark.asyncio
+async def test_a_relay_with_or_without_tls_is_met_with_the_other_scheme(
     tmp_path: Path, speaks_tls: bool
 ) -> None:
     cert = write_certificate(tmp_path) if speaks_tls else None
     key = cert.with_suffix(".key") if cert is not None else None
-
-    async def main() -> str:
-        config = RelayConfig(port=0, avatar_store="none", tls_cert=cert, tls_key=key)
-        async with Relay(config) as relay:
-            port = relay.url.rpartition(":")[2]
-            return await said_of(f"{'ws' if speaks_tls else 'wss'}://127.0.0.1:{port}")
-
     expected = "wss:// if it speaks TLS" if speaks_tls else "write ws:// if"
-    assert expected in asyncio.run(main())
+    config = RelayConfig(port=0, avatar_store="none", tls_cert=cert, tls_key=key)
+    async with Relay(config) as relay:
+        port = relay.url.rpartition(":")[2]
+        assert expected in await said_of(f"{'ws' if speaks_tls else 'wss'}://127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("target", ["/admin", "ws://localhost:{port}/", "https://example.org/"])
-def test_a_redirect_of_http_is_not_followed(target: str) -> None:
+@pytest.mark.asyncio
+async def test_a_redirect_of_http_is_not_followed(target: str) -> None:
     lines = []
 
-    async def main() -> None:
-        async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            lines.append(await reader.readline())
-            place = target.format(port=port)
-            writer.write(f"HTTP/1.1 302 Found\r\nLocation: {place}\r\n\r\n".encode())
-            writer.close()
+    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        lines.append(await reader.readline())
+        place = target.format(port=port)
+        writer.write(f"HTTP/1.1 302 Found\r\nLocation: {place}\r\n\r\n".encode())
+        writer.close()
 
-        server = await asyncio.start_server(handle, "127.0.0.1", 0)
-        async with server:
-            port = server.sockets[0].getsockname()[1]
-            url = f"ws://127.0.0.1:{port}"
-            with pytest.raises(RelayRefusedError, match="answers HTTP 302, not as a relay"):
-                await _run(url)
-
-    asyncio.run(main())
+    async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(RelayRefusedError, match="answers HTTP 302, not as a relay"):
+            await Link(LinkConfig(url=f"ws://127.0.0.1:{port}")).run()
     assert len(lines) == 1
 
 
@@ -99,12 +85,13 @@ def test_a_redirect_of_http_is_not_followed(target: str) -> None:
         ("wss://example.org", "ftp://127.0.0.1:1", "is not to be reached by the proxy"),
     ],
 )
-def test_an_address_or_a_proxy_that_cannot_be_is_named(
+@pytest.mark.asyncio
+async def test_an_address_or_a_proxy_that_cannot_be_is_named(
     url: str, proxy: str, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("https_proxy", proxy)
     with pytest.raises(RelayRefusedError, match=told):
-        asyncio.run(_run(url))
+        await Link(LinkConfig(url=url)).run()
 
 
 def test_call_and_avatar_files_take_the_same_proxy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,17 +70,14 @@ def test_a_lost_connection_leaves_nothing_to_the_garbage_collector(said: bytes) 
 
 @pytest.mark.parametrize("asked", ["GET /healthz/", "HEAD /healthz", "GET /readyz?from=probe"])
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
-def test_probes_of_all_kinds_are_answered(asked: str, version: str) -> None:
-    async def scenario() -> bytes:
-        async with Relay(RelayConfig(port=0)) as relay:
-            host, _, port = relay.url.removeprefix("ws://").rpartition(":")
-            reader, writer = await asyncio.open_connection(host, int(port))
-            writer.write(f"{asked} HTTP/{version}\r\nHost: localhost\r\n\r\n".encode())
-            answer = await reader.read()
-            writer.close()
-            return answer
-
-    head, _, body = asyncio.run(scenario()).partition(b"\r\n\r\n")
+@pytest.mark.asyncio
+async def test_probes_of_all_kinds_are_answered(asked: str, version: str) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        host, _, port = relay.url.removeprefix("ws://").rpartition(":")
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(f"{asked} HTTP/{version}\r\nHost: localhost\r\n\r\n".encode())
+        head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+        writer.close()
     assert head.split()[1] == b"200"
     assert body == (b"" if asked.startswith("HEAD") else b"ok\n")
 
@@ -114,13 +111,11 @@ def test_a_zone_is_understood_and_a_silent_first_address_keeps_from_no_second(
 
 
 @pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
-def test_two_colons_listen_for_both_families_and_zones() -> None:
-    async def scenario() -> None:
-        zone = socket.if_nametoindex("lo")
-        async with Relay(RelayConfig(host="::", port=0, insecure=True)) as relay:
-            port = relay.url.rpartition(":")[2]
-            for host in ("127.0.0.1", "[::1]", f"[::1%{zone}]", f"[::1%25{zone}]"):
-                async with await open_websocket(f"ws://{host}:{port}") as websocket:
-                    assert websocket.subprotocol == SUBPROTOCOL
-
-    asyncio.run(scenario())
+@pytest.mark.asyncio
+async def test_two_colons_listen_for_both_families_and_zones() -> None:
+    zone = socket.if_nametoindex("lo")
+    async with Relay(RelayConfig(host="::", port=0, insecure=True)) as relay:
+        port = relay.url.rpartition(":")[2]
+        for host in ("127.0.0.1", "[::1]", f"[::1%{zone}]", f"[::1%25{zone}]"):
+            async with await open_websocket(f"ws://{host}:{port}") as websocket:
+                assert websocket.subprotocol == SUBPROTOCOL

@@ -27,13 +27,12 @@ from pica_server.config import StoreConfig
 from pica_server.store.store import AvatarStore
 from simnet.peers import peer_in_room
 
-pytestmark = pytest.mark.call
+pytestmark = [pytest.mark.call, pytest.mark.asyncio]
 
 FILE = fake_avatar()
 ID = id_of(FILE)
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("offer", "data", "code", "words"),
     [
@@ -59,7 +58,6 @@ async def test_a_file_that_is_not_what_it_should_be_is_refused_and_leaves_nothin
 OFFER = encode_message(Offer(sha256=ID, size=len(FILE)))
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("messages", "code"),
     [
@@ -85,7 +83,6 @@ async def test_who_does_not_speak_the_protocol_is_closed_with_a_code(
     assert left_in(tmp_path) == {f"{ID}.pica"}
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     "path",
     [
@@ -111,7 +108,6 @@ async def test_no_path_leads_out_of_the_store(path: str, tmp_path: Path) -> None
         assert (await ask(relay, f"/avatars/{ID}", method="DELETE")).status == 405
 
 
-@pytest.mark.asyncio
 async def test_what_lies_in_the_folder_under_another_name_is_not_given(tmp_path: Path) -> None:
     for name in ("notes.txt", f"{ID}.pica.bak", f"x{ID}.pica"):
         (tmp_path / name).write_bytes(FILE)
@@ -121,7 +117,6 @@ async def test_what_lies_in_the_folder_under_another_name_is_not_given(tmp_path:
     store.close()
 
 
-@pytest.mark.asyncio
 async def test_an_upload_that_breaks_off_leaves_nothing_and_gives_its_room_back(
     tmp_path: Path,
 ) -> None:
@@ -137,7 +132,6 @@ async def test_an_upload_that_breaks_off_leaves_nothing_and_gives_its_room_back(
     assert left_in(tmp_path) == {f"{ID}.pica"}
 
 
-@pytest.mark.asyncio
 async def test_who_sends_too_slowly_or_nothing_is_closed(tmp_path: Path) -> None:
     limits = {"grace_s": 0.05, "slowest_bytes_per_s": 1e9}
     async with store_relay(tmp_path, config={"handshake_timeout_s": 0.2}, **limits) as relay:
@@ -146,7 +140,6 @@ async def test_who_sends_too_slowly_or_nothing_is_closed(tmp_path: Path) -> None
     assert left_in(tmp_path) == set()
 
 
-@pytest.mark.asyncio
 async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(tmp_path: Path) -> None:
     large = fake_avatar(8_000_000)
     limits = {"grace_s": 1.0, "slowest_bytes_per_s": 1e9}
@@ -164,7 +157,6 @@ async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(tmp_path: 
         assert relay.stats()["limits_hit"] == {}
 
 
-@pytest.mark.asyncio
 async def test_more_uploads_at_once_than_allowed_are_told_to_come_later(tmp_path: Path) -> None:
     async with store_relay(tmp_path, uploads=1) as relay, store_socket(relay) as first:
         await first.send(OFFER)
@@ -173,7 +165,6 @@ async def test_more_uploads_at_once_than_allowed_are_told_to_come_later(tmp_path
         await first.close()
 
 
-@pytest.mark.asyncio
 async def test_who_offers_nothing_takes_no_place_of_those_who_upload(tmp_path: Path) -> None:
     async with (
         store_relay(tmp_path, uploads=1) as relay,
@@ -183,7 +174,6 @@ async def test_who_offers_nothing_takes_no_place_of_those_who_upload(tmp_path: P
         assert (await upload(relay, FILE)).code == CloseCode.NORMAL
 
 
-@pytest.mark.asyncio
 async def test_a_full_store_refuses_clearly_and_still_gives(tmp_path: Path) -> None:
     async with store_relay(tmp_path, quota_bytes=len(FILE) + 10) as relay:
         await upload(relay, FILE)
@@ -197,7 +187,6 @@ async def test_a_full_store_refuses_clearly_and_still_gives(tmp_path: Path) -> N
         assert outcome.reason == "it has 1 avatars, the most it may"
 
 
-@pytest.mark.asyncio
 async def test_a_full_disk_is_a_full_store_and_costs_nobody_a_call(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,7 +200,6 @@ async def test_a_full_disk_is_a_full_store_and_costs_nobody_a_call(
     assert left_in(tmp_path) == set()
 
 
-@pytest.mark.asyncio
 async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(tmp_path: Path) -> None:
     folder = tmp_path / "store"
     async with store_relay(folder) as relay:
@@ -223,7 +211,6 @@ async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(tmp_p
         assert (reply.status, str(tmp_path).encode() in reply.body) == (503, False)
 
 
-@pytest.mark.asyncio
 async def test_a_relay_that_stops_waits_for_no_transfer(tmp_path: Path) -> None:
     async with store_relay(tmp_path) as relay:
         async with store_socket(relay) as websocket:
