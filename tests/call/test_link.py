@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import asyncio
 import random
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,18 @@ def make_link(connect_timeout_s: float | None = 3.0, **options: Any) -> tuple[Li
     return Link(config, on_event=take), joined
 
 
+@asynccontextmanager
+async def running_link(
+    connect_timeout_s: float | None = 3.0, **options: Any
+) -> AsyncIterator[tuple[Link, asyncio.Event]]:
+    """A link that runs and leaves at the end, and what is set when it has joined."""
+    link, joined = make_link(connect_timeout_s, **options)
+    running = asyncio.create_task(link.run())
+    yield link, joined
+    link.leave()
+    await running
+
+
 @in_virtual_time
 async def test_a_relay_that_is_not_there_is_given_up_after_the_connect_timeout() -> None:
     loop = asyncio.get_running_loop()
@@ -55,26 +69,20 @@ async def test_a_relay_that_is_not_there_is_given_up_after_the_connect_timeout()
 @in_virtual_time
 async def test_a_relay_that_comes_late_is_found_within_a_second_of_its_coming() -> None:
     loop = asyncio.get_running_loop()
-    link, joined = make_link(connect_timeout_s=None)
-    running = asyncio.create_task(link.run())
-    await asyncio.sleep(60)
-    async with Relay(RelayConfig()):
-        await joined.wait()
-        assert loop.time() <= 61.1
-        assert link.is_joined
-        link.leave()
-        await running
+    async with running_link(connect_timeout_s=None) as (link, joined):
+        await asyncio.sleep(60)
+        async with Relay(RelayConfig()):
+            await joined.wait()
+            assert loop.time() <= 61.1
+            assert link.is_joined
 
 
 @in_virtual_time
 async def test_leaving_ends_a_connection_attempt_that_nobody_answers() -> None:
     loop = asyncio.get_running_loop()
-    link, _ = make_link(connect_timeout_s=None)
     current_network().cut("relay")
-    running = asyncio.create_task(link.run())
-    await asyncio.sleep(1)
-    link.leave()
-    await running
+    async with running_link(connect_timeout_s=None):
+        await asyncio.sleep(1)
     assert loop.time() == pytest.approx(1)
 
 
@@ -100,19 +108,16 @@ async def test_who_was_in_a_room_that_is_full_now_waits_a_minute_for_a_place() -
                 await running
 
 
-def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
+@in_virtual_time
+async def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
     right, wrong, token_file = tmp_path / "right", tmp_path / "wrong", tmp_path / "token"
     for keys in (right, wrong):
         keys.write_text(new_key_line())
     admission = Admission(identity="ada")
     token = mint(load_keys(right), "r", admission, now=1e9, lasts_s=900)
     token_file.write_text(token, encoding="utf-16")  # as PowerShell writes it
-
-    @in_virtual_time
-    async def scenario() -> None:
-        loop = asyncio.get_running_loop()
-        link, _ = make_link(token_file=token_file)
-        running = asyncio.create_task(link.run())
+    loop = asyncio.get_running_loop()
+    async with running_link(token_file=token_file) as (link, _):
         for keys, seconds in ((right, 10.0), (wrong, 2.0), (right, 10.0)):
             async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
                 await asyncio.sleep(seconds)
@@ -123,24 +128,16 @@ def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
         async with Relay(RelayConfig(keys=right), unix_time=lambda: 1e9 + loop.time()):
             await asyncio.sleep(10)
             assert link.is_joined
-            link.leave()
-            await running
-
-    scenario()
 
 
 @in_virtual_time
 async def test_a_relay_that_is_busy_for_a_second_and_a_half_loses_nobody() -> None:
-    async with Relay(RelayConfig()) as relay:
-        link, joined = make_link()
-        running = asyncio.create_task(link.run())
+    async with Relay(RelayConfig()) as relay, running_link() as (link, joined):
         await joined.wait()
         for _ in range(3):
             current_network().stall("relay", 1.5)
             await asyncio.sleep(10)
         assert (link.reconnects, relay.stats()["joins"]) == (0, 1)
-        link.leave()
-        await running
 
 
 @in_virtual_time
@@ -154,12 +151,11 @@ async def test_garbage_from_the_other_end_is_counted_and_tried_again_with_patien
         await websocket.send(rng.randbytes(200))
         await websocket.wait_closed()
 
-    async with serve(babble, "relay", 8765, subprotocols=PICA, compression=None):
-        link, joined = make_link(connect_timeout_s=None)
-        running = asyncio.create_task(link.run())
+    async with (
+        serve(babble, "relay", 8765, subprotocols=PICA, compression=None),
+        running_link(connect_timeout_s=None) as (link, joined),
+    ):
         await asyncio.sleep(60)
-        link.leave()
-        await running
     assert link.errors >= 8
     assert connections <= 20  # one every 4 to 8 seconds once the waits have grown
     assert not joined.is_set()
@@ -177,7 +173,10 @@ async def test_a_websocket_server_of_another_language_is_refused_by_name() -> No
                 await link.run()
 
 
-def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_path: Path) -> None:
+@in_virtual_time
+async def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(
+    tmp_path: Path,
+) -> None:
     keys, token_file = tmp_path / "keys", tmp_path / "token"
     keys.write_text(new_key_line())
 
@@ -186,45 +185,39 @@ def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_pat
         token = mint(load_keys(keys), "r", admission, now=now, lasts_s=60)
         token_file.write_text(f"{token}\n")
 
-    @in_virtual_time
-    async def scenario() -> None:
-        loop = asyncio.get_running_loop()
-        link, joined = make_link(token_file=token_file)
-        running = asyncio.create_task(link.run())
-        for minted_s in (0, 100):
-            write_token(1e9 + minted_s)
-            joined.clear()
-            async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
-                await joined.wait()
-                await asyncio.sleep(100)  # it outlives its token, and the relay goes away then
+    loop = asyncio.get_running_loop()
+    link, joined = make_link(token_file=token_file)
+    running = asyncio.create_task(link.run())
+    for minted_s in (0, 100):
+        write_token(1e9 + minted_s)
+        joined.clear()
         async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
-            with pytest.raises(RelayRefusedError, match=r"has expired \(code 4011\)"):
-                await running
-
-    scenario()
+            await joined.wait()
+            await asyncio.sleep(100)  # it outlives its token, and the relay goes away then
+    async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
+        with pytest.raises(RelayRefusedError, match=r"has expired \(code 4011\)"):
+            await running
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfd", b"two words", None])
-def test_a_token_file_without_a_token_is_named(content: bytes | None, tmp_path: Path) -> None:
+@in_virtual_time
+async def test_a_token_file_without_a_token_is_named(content: bytes | None, tmp_path: Path) -> None:
     path = tmp_path / "token"
     if content is not None:
         path.write_bytes(content)
-
-    @in_virtual_time
-    async def scenario() -> None:
-        with pytest.raises(OptionError, match=r"token-file .*token: "):
-            await Link(LinkConfig(url=URL, token_file=path)).run()
-
-    scenario()
+    with pytest.raises(OptionError, match=r"token-file .*token: "):
+        await Link(LinkConfig(url=URL, token_file=path)).run()
 
 
 @in_virtual_time
 async def test_a_link_goes_where_a_relay_sends_it_without_waiting() -> None:
     loop = asyncio.get_running_loop()
     config = RelayConfig(drain_to="ws://relay:8766")
-    async with Relay(RelayConfig(port=8766)) as other, Relay(config) as relay:
-        link, joined = make_link()
-        running = asyncio.create_task(link.run())
+    async with (
+        Relay(RelayConfig(port=8766)) as other,
+        Relay(config) as relay,
+        running_link() as (link, joined),
+    ):
         await joined.wait()
         await asyncio.sleep(10)
         joined.clear()
@@ -234,17 +227,13 @@ async def test_a_link_goes_where_a_relay_sends_it_without_waiting() -> None:
         assert loop.time() - start < 0.1
         assert link.url == "ws://relay:8766"
         assert other.hub.num_rooms == 1
-        link.leave()
-        await running
 
 
 @pytest.mark.parametrize("target", ["ws://other:8766", "ws://relay:9999"])
 @in_virtual_time
 async def test_a_link_that_is_sent_to_a_strange_host_or_to_no_relay_comes_back(target: str) -> None:
-    link, joined = make_link()
-    async with Relay(RelayConfig(port=8766)) as other:
+    async with Relay(RelayConfig(port=8766)) as other, running_link() as (link, joined):
         async with Relay(RelayConfig(drain_to=target)) as relay:
-            running = asyncio.create_task(link.run())
             await joined.wait()
             await asyncio.sleep(10)
             await relay.drain()
@@ -253,8 +242,6 @@ async def test_a_link_that_is_sent_to_a_strange_host_or_to_no_relay_comes_back(t
             await joined.wait()
             assert link.url == URL
             assert other.hub.stats.connections == 0
-            link.leave()
-            await running
 
 
 async def send_away(websocket: ServerConnection, url: str, *, joins: bool) -> None:
@@ -280,16 +267,13 @@ async def test_a_link_that_joins_goes_at_once_to_the_relay_that_has_its_room() -
     async with (
         Relay(RelayConfig(port=8766)),
         serve(answer, "relay", 8765, subprotocols=PICA, compression=None),
+        running_link(redirect_hosts=("other",)) as (link, joined),
     ):
-        link, joined = make_link(redirect_hosts=("other",))
         start = loop.time()
-        running = asyncio.create_task(link.run())
         await joined.wait()
         assert loop.time() - start < 0.1
         assert link.url == "ws://other:8766"
         assert link.reconnects == 0
-        link.leave()
-        await running
 
 
 @pytest.mark.parametrize("joins", [False, True])
@@ -301,10 +285,9 @@ async def test_relays_that_send_a_link_to_and_fro_make_it_slower(joins: bool) ->
         welcomes.append(asyncio.get_running_loop().time())
         await send_away(websocket, "ws://relay:8765", joins=joins)
 
-    async with serve(answer, "relay", 8765, subprotocols=PICA, compression=None):
-        link, _ = make_link(connect_timeout_s=None)
-        running = asyncio.create_task(link.run())
+    async with (
+        serve(answer, "relay", 8765, subprotocols=PICA, compression=None),
+        running_link(connect_timeout_s=None),
+    ):
         await asyncio.sleep(120)
-        link.leave()
-        await running
     assert 10 < len(welcomes) < 40

@@ -88,7 +88,9 @@ def test_sequences_count_per_track_and_wrap() -> None:
     assert last == 0
 
 
-def test_a_frame_that_waits_is_replaced_by_a_newer_one_and_counted() -> None:
+def test_a_newer_frame_replaces_one_that_waits_and_one_for_everybody_has_a_multiple_of_four() -> (
+    None
+):
     client = joined_client()
     client.send_frame(b"old", captured_us=1)
     client.send_frame(b"new", captured_us=2)
@@ -114,20 +116,6 @@ def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
             client.send_frame(bytes(1192), 0, track=track)
     messages = client.messages_to_send(now=0.0)
     assert [len(decode_media(message)) for message in messages] == [13, 7]
-
-
-def test_a_frame_that_everybody_must_get_has_a_sequence_that_is_a_multiple_of_four() -> None:
-    client = joined_client()
-    for multiple in (1, 1, 4, 1, 2, 4):
-        client.send_frame(b"", captured_us=0, multiple=multiple)
-        client.messages_to_send(now=1.0)
-    (message,) = sent_frames(client, multiple=1)
-    assert message.sequence == 9
-
-
-def sent_frames(client: ClientSession, *, multiple: int) -> list[Frame]:
-    client.send_frame(b"", captured_us=0, multiple=multiple)
-    return [frame for data in client.messages_to_send(now=1.0) for frame in decode_media(data)]
 
 
 @pytest.mark.parametrize("elapsed_s", [0.03, 100.0, 209.8, 5000.0])
@@ -365,20 +353,6 @@ def test_a_client_that_comes_back_to_its_place_goes_on_counting_where_it_stopped
 def test_secrets_to_come_back_with_are_not_shown_when_printed() -> None:
     shown = repr(client_with()) + repr(Joined(room="r", peer_id="p", resume="s3cret"))
     assert "s3cret" not in shown + repr(Join(room="r", name="n", resume="s3cret"))
-
-
-def test_a_client_knows_who_is_here_and_what_the_others_say_of_themselves() -> None:
-    client = client_with()
-    for message in (
-        PeerJoined(peer=Peer(peer_id="p2", name="Bob")),
-        PeerAway(peer_id="p2"),
-        PeerBack(peer_id="p2"),
-        PeerUpdated(peer_id="p2", metadata=(("hand", "up"),)),
-    ):
-        assert client.receive_data(encode_message(message), now=0.0) == [message]
-    assert client.peers["p2"].metadata == (("hand", "up"),)
-    client.receive_data(encode_message(PeerLeft(peer_id="p2", reason="left")), now=0.0)
-    assert client.peers == {}
 
 
 def test_frames_of_a_muted_stream_stay_here_and_leave_a_hole_in_the_sequence() -> None:

@@ -76,6 +76,7 @@ def test_who_does_not_come_back_has_left_when_the_grace_is_over() -> None:
     assert bob.listen(10.9) == []
     hub.handle_timer(11.0)
     assert bob.listen(11.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
+    assert bob.session.peers == {}
     again = come_back(hub, former, now=11.1)
     assert not joined_of(again).resumed
     assert again.peer_id != ada.peer_id
@@ -247,6 +248,7 @@ def test_what_a_peer_says_of_itself_reaches_the_others_and_those_who_come_later(
         PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "up"),)),
         PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "down"),)),
     ]
+    assert bob.session.peers[ada.peer_id].metadata == (("hand", "down"),)
     assert ada.listen(now=1.0) == []
     cyd = Member(hub, "Cyd", now=2.0, metadata=(("role", "guest"),))
     assert cyd.session.peers[ada.peer_id].metadata == (("hand", "down"),)
