@@ -86,57 +86,51 @@ def are_together(pair: tuple[Person, Person]) -> bool:
     return is_at_one and ada.sees(ben.name) and ben.sees(ada.name)
 
 
-def test_rooms_are_on_all_relays_and_back_within_five_seconds_when_one_is_killed(
+@pytest.mark.asyncio
+async def test_rooms_are_on_all_relays_and_back_within_five_seconds_when_one_is_killed(
     relays: list[RelayProcess],
 ) -> None:
-    async def call() -> None:
-        async with AsyncExitStack() as stack:
-            made = await pairs(stack, relays[1:], NUM_ROOMS)
-            num_rooms = [await asyncio.to_thread(each.number, "rooms") for each in relays]
-            assert sum(num_rooms) == NUM_ROOMS
-            assert min(num_rooms) >= 1  # a relay knows the load of others 0.4 s late
-            hit = [pair for pair in made if pair[0].link.url == relays[0].url]
-            assert hit
-            killed_s = time.monotonic()
-            relays[0].kill()
-            await until(
-                lambda: all(are_together(p) and p[0].link.url != relays[0].url for p in made)
-            )
-            report(f"{len(hit)} rooms back {time.monotonic() - killed_s:.2f} s after the kill")
-            assert not any(p.link.reconnects for pair in made if pair not in hit for p in pair)
-
-    asyncio.run(call())
+    async with AsyncExitStack() as stack:
+        made = await pairs(stack, relays[1:], NUM_ROOMS)
+        num_rooms = [await asyncio.to_thread(each.number, "rooms") for each in relays]
+        assert sum(num_rooms) == NUM_ROOMS
+        assert min(num_rooms) >= 1  # a relay knows the load of others 0.4 s late
+        hit = [pair for pair in made if pair[0].link.url == relays[0].url]
+        assert hit
+        killed_s = time.monotonic()
+        relays[0].kill()
+        await until(lambda: all(are_together(p) and p[0].link.url != relays[0].url for p in made))
+        report(f"{len(hit)} rooms back {time.monotonic() - killed_s:.2f} s after the kill")
+        assert not any(p.link.reconnects for pair in made if pair not in hit for p in pair)
 
 
-def test_no_call_ends_when_nats_is_killed_and_comes_back_empty(
+@pytest.mark.asyncio
+async def test_no_call_ends_when_nats_is_killed_and_comes_back_empty(
     relays: list[RelayProcess], tmp_path: Path, nats: NatsServer
 ) -> None:
-    async def call() -> None:
-        async with AsyncExitStack() as stack:
-            made = await pairs(stack, relays, NUM_ROOMS)
-            nats.stop()
-            nats.empty()
-            await asyncio.sleep(3.0)
-            page = await asyncio.to_thread(relays[0].page, "/healthz")
-            assert page == "ok\nNATS lost, new rooms are local\n"
-            news = await stack.enter_async_context(person("new", relays[0], room="made-without"))
-            assert news.has_joined
-            assert await total(relays, 'placement_total{event="local"}') == 1
-            await asyncio.to_thread(nats.start)
-            back_s = time.monotonic()
-            for each in relays:
-                await until_number(each, "nats_lost", 0)
-            report(f"all relays place rooms {time.monotonic() - back_s:.2f} s after NATS is back")
-            await asyncio.sleep(1.0)
-            assert all(map(are_together, made))
-            everybody = [news, *(p for pair in made for p in pair)]
-            assert not any(p.link.reconnects for p in everybody)
-            for number, pair in enumerate(made[:6]):
-                cleo = person("cleo", relays[number % 3], f"room{number}")
-                async with cleo as late:
-                    await until(lambda late=late, pair=pair: late.sees(*(p.name for p in pair)))
-
-    asyncio.run(call())
+    async with AsyncExitStack() as stack:
+        made = await pairs(stack, relays, NUM_ROOMS)
+        nats.stop()
+        nats.empty()
+        await asyncio.sleep(3.0)
+        page = await asyncio.to_thread(relays[0].page, "/healthz")
+        assert page == "ok\nNATS lost, new rooms are local\n"
+        news = await stack.enter_async_context(person("new", relays[0], room="made-without"))
+        assert news.has_joined
+        assert await total(relays, 'placement_total{event="local"}') == 1
+        await asyncio.to_thread(nats.start)
+        back_s = time.monotonic()
+        for each in relays:
+            await until_number(each, "nats_lost", 0)
+        report(f"all relays place rooms {time.monotonic() - back_s:.2f} s after NATS is back")
+        await asyncio.sleep(1.0)
+        assert all(map(are_together, made))
+        everybody = [news, *(p for pair in made for p in pair)]
+        assert not any(p.link.reconnects for p in everybody)
+        for number, pair in enumerate(made[:6]):
+            cleo = person("cleo", relays[number % 3], f"room{number}")
+            async with cleo as late:
+                await until(lambda late=late, pair=pair: late.sees(*(p.name for p in pair)))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +19,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.call.call import Call
 from pica_client.endpoint import Receiver
-from pica_client.errors import CallProcessError, RelayUnreachableError
+from pica_client.errors import CallProcessError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children
 from pica_client.transport.connect import LinkConfig
@@ -166,14 +165,3 @@ def test_a_short_bench_decodes_every_peer_without_errors(avatar_file: Path) -> N
     assert (result["peers"], result["decoded_peers"], result["errors"]) == (2, 2, 0)
     assert set(result["bitrate_bps"]["Ada"]) == {"payload", "wire"}
     assert result["latency_ms"]["p50"] > result["without_playout_ms"]["p50"] > 0
-
-
-def test_a_receiver_in_a_thread_hands_its_error_to_whoever_draws() -> None:
-    link = LinkConfig(url="ws://127.0.0.1:9", connect_timeout_s=0.3)
-    with Receiver(link, Call(LoadedAvatars({}))) as receiver:
-        wait_until(
-            lambda: all(thread.name != "receiver" for thread in threading.enumerate()),
-            "the thread ends",
-        )
-        with pytest.raises(RelayUnreachableError, match="no relay answers"):
-            receiver.check()

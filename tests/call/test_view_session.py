@@ -92,14 +92,6 @@ def state_at(url: str, name: str = "guest") -> ViewState:
     return ViewState(url=url, room="lobby", name=name, source="", voice="none", layout="grid")
 
 
-def test_one_can_leave_at_the_form(
-    window_of: Callable[[list[Event]], None], library: AvatarLibrary, tmp_path: Path
-) -> None:
-    window_of([press(imgui.Key.escape)])
-    result = view_calls(OPTIONS, state_at(NOBODY), library, PreferencesFile(tmp_path))
-    assert result["frames_rendered"] == 0
-
-
 def test_a_relay_that_is_not_there_is_said_in_the_form(
     window_of: Callable[[list[Event]], None],
     library: AvatarLibrary,
@@ -116,7 +108,8 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
         ScreenlessWindow.happened.append(press(imgui.Key.escape))
 
     monkeypatch.setattr(JoinForm, "refuse", refuse)
-    view_calls(OPTIONS, state, library, PreferencesFile(tmp_path))
+    result = view_calls(OPTIONS, state, library, PreferencesFile(tmp_path))
+    assert result["frames_rendered"] == 0  # one can leave at the form
     assert len(refusals) == 1
     assert f"no relay answers at {NOBODY}" in refusals[0]
 
@@ -143,20 +136,13 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
     assert "a-secret" not in kept.path.read_text()
 
 
-def test_an_address_on_the_command_line_needs_no_form(
-    library: AvatarLibrary, relay_url: str
-) -> None:
-    result = view_calls(HEADLESS, state_at(relay_url), library)
-    assert result["frames_rendered"] > 0
-
-
 def test_a_stay_begins_without_what_held_for_the_people_of_another(
     library: AvatarLibrary, relay_url: str
 ) -> None:
     state = state_at(relay_url)
     state.volumes, state.barred = {1: 0.0}, {"eve": "Eve"}
     state.side, state.is_talking = "settings", True
-    view_calls(HEADLESS, state, library)
+    assert view_calls(HEADLESS, state, library)["frames_rendered"] > 0
     assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
 
 

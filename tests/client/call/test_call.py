@@ -26,7 +26,6 @@ from pica_protocol.messages import (
     Joined,
     Peer,
     PeerJoined,
-    PeerLeft,
     PeerUpdated,
     Track,
 )
@@ -85,16 +84,6 @@ def test_a_silent_peer_becomes_stale_and_lives_again(call: Call) -> None:
     assert call.faces(2.5)[0].status == "stale"
     call.receive_event(frame(7, 1, 3_000_000), now=3.0)
     assert call.faces(3.01)[0].status == "live"
-
-
-def test_peers_come_and_go_in_order_of_arrival(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
-    call.receive_event(PeerJoined(peer=peer("p2", "Ben", 2)), now=0.0)
-    call.receive_event(PeerJoined(peer=peer("p3", "Cho", 3)), now=0.0)
-    assert [face.name for face in call.faces(0.0)] == ["Ada", "Ben", "Cho"]
-    call.receive_event(PeerLeft(peer_id="p2"), now=0.0)
-    call.receive_event(PeerLeft(peer_id="nobody"), now=0.0)
-    assert [face.name for face in call.faces(0.0)] == ["Ada", "Cho"]
 
 
 def test_a_peer_without_a_face_track_has_no_seat(call: Call) -> None:

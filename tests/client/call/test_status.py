@@ -34,18 +34,13 @@ pytestmark = pytest.mark.unit
 TOY_ID = "a" * 64
 
 
-class AvatarOnItsWay(LoadedAvatars):
-    def note(self, identity: str) -> str:
-        return "avatar is on its way (42%)"
-
-
 def person(peer_id: str, name: str, stream: int) -> Peer:
     track = Track(kind="face", avatar=TOY_ID, stream=stream)
     return Peer(peer_id=peer_id, name=name, tracks=(track,))
 
 
-def call_with(*peers: Peer, avatars: LoadedAvatars | None = None) -> Call:
-    call = Call(avatars or LoadedAvatars({TOY_ID: make_toy_avatar()}))
+def call_with(*peers: Peer) -> Call:
+    call = Call(LoadedAvatars({TOY_ID: make_toy_avatar()}))
     call.own_name = "Me"
     call.receive_event(Joined(room="r", peer_id="me", peers=peers), now=0.0)
     return call
@@ -95,11 +90,6 @@ def test_there_is_a_reason_for_a_face_that_is_not_to_be_seen(event: object, line
         call.receive_event(event, now=0.5)  # type: ignore[arg-type]
     assert listed(call)["Ada"].line == line
     assert call.faces(1.0)[0].note == line  # under the face as in the list
-
-
-def test_an_avatar_on_its_way_is_a_reason() -> None:
-    call = call_with(person("p1", "Ada", 1), avatars=AvatarOnItsWay({}))
-    assert listed(call)["Ada"].line == "avatar is on its way (42%)"
 
 
 def test_a_watcher_is_said_to_watch_and_a_poor_connection_is_told_last() -> None:

@@ -58,14 +58,6 @@ def test_a_glance_aside_tells_nothing() -> None:
     assert told(ada, 5.0) is None
 
 
-def test_what_could_not_be_told_stays_due() -> None:
-    ada = make_participant()
-    ada.subscribe(0, now=0.0)
-    assert told(ada, 0.5, can_tell=False) == 0
-    assert ada.told == 1
-    assert told(ada, 2.0) == 0
-
-
 def test_a_stream_that_is_not_wanted_is_not_stale_and_has_two_seconds_once_it_is() -> None:
     ada = make_participant()
     ada.last_arrival_s = 0.0

@@ -56,14 +56,16 @@ def notices_of(controls: FaceControls, now: float = 0.0) -> list[str]:
     return found
 
 
-def feed(controls: FaceControls, arkit: dict[int, float], count: int = 60) -> None:
+def feed(controls: FaceControls, arkit: dict[int, float], begin_s: float = 100.0) -> UdpTracker:
+    """Let the tracker see one face for a second and a half."""
     source = controls.publisher.source
     assert isinstance(source, UdpTracker)
     values = np.zeros(NUM_ARKIT, np.float32)
     for index, value in arkit.items():
         values[index] = value
-    for number in range(count):
-        source.face.push(TrackerSample(arkit=values), 100.0 + number / 60)
+    for number in range(90):
+        source.face.push(TrackerSample(arkit=values), begin_s + number / 60)
+    return source
 
 
 def test_another_source_plays_the_face_from_then_on(
@@ -100,13 +102,7 @@ def test_calibrating_takes_the_resting_face_away_and_keeps_it_for_the_next_call(
     feed(controls, {JAW: 0.9})  # before it was asked for
     controls.calibrate(200.0)
     assert controls.take_notices(200.0) == ["Look ahead, relaxed, with open eyes …"]
-    feed(controls, {}, count=0)
-    source = controls.publisher.source
-    assert isinstance(source, UdpTracker)
-    squint = np.zeros(NUM_ARKIT, np.float32)
-    squint[SQUINT] = 0.2
-    for number in range(90):
-        source.face.push(TrackerSample(arkit=squint), 200.0 + number / 60)
+    source = feed(controls, {SQUINT: 0.2}, begin_s=200.0)
     assert controls.take_notices(200.0 + 0.9 * REST_S) == []
     assert controls.take_notices(200.0 + REST_S) == ["Calibrated for Ada and livelink"]
     kept = load_calibration("Ada", "livelink")

@@ -24,13 +24,6 @@ from pica_server.tokens import Admission
 pytestmark = pytest.mark.unit
 
 
-def test_a_frame_makes_its_receivers_ready_and_nobody_else() -> None:
-    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
-    ada.send_frame(b"x", now=1.0)
-    assert hub.take_ready() == [bob.connection, cyd.connection]
-    assert hub.take_ready() == []
-
-
 def test_forwarding_latency_runs_from_receipt_to_the_socket() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob")
     ada.send_frame(b"x", now=1.0)
