@@ -97,10 +97,6 @@ def stage() -> Iterator[Stage]:
     context.release()
 
 
-def test_what_stands_still_is_not_drawn_again(stage: Stage) -> None:
-    assert stage.drawn() == []
-
-
 @pytest.mark.parametrize("face", [1, 2])
 def test_a_new_face_is_drawn_alone_however_near_others_are(stage: Stage, face: int) -> None:
     stage.show("p0", face)

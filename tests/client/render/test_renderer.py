@@ -1,11 +1,18 @@
-"""What the renderer draws, judged by numpy; and what it must survive."""
+"""What the renderer draws, judged by numpy; and where it fails: broken maps, cameras, drivers."""
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import math
+import os
 import platform
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import moderngl
 import numpy as np
@@ -16,23 +23,22 @@ from helpers import tolerances
 from helpers.paths import GOLDEN
 from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, ShaderError
+from pica_client.render import gpu_avatar
 from pica_client.render.gpu_program import build_program, compose
 from pica_client.render.gpu_tables import siren_source
+from pica_client.render.layers import layer_size
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
-from pica_client.render.scene import (
-    Placement,
-    head_matrix,
-    view_direction,
-)
+from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.render.seats import plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import Camera, look_at
+from pica_core.errors import GraphicsError
 from pica_core.reference import decode_pixels
-from pica_core.sampling import sample_bilinear, sample_vertices
+from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render
 
@@ -49,9 +55,9 @@ EXACT = RenderOptions(smooth_edges=False)
 UNFILTERED = RenderOptions(smooth_edges=False, filter_encodings=False)
 
 
-def camera_at(*centre_m: float, size: tuple[int, int] = SIZE) -> Camera:
+def camera_at(*centre_m: float, fov: float = 0.55) -> Camera:
     return look_at(
-        centre_m=centre_m, target_m=(0, 0, 0), vertical_fov=0.55, width=size[0], height=size[1]
+        centre_m=centre_m, target_m=(0, 0, 0), vertical_fov=fov, width=SIZE[0], height=SIZE[1]
     )
 
 
@@ -91,18 +97,6 @@ def test_positions_under_the_pixels_lie_where_their_camera_rays_meet_the_mesh(
     np.testing.assert_allclose(pixels, np.stack([columns, rows], axis=1) + 0.5, atol=0.05)
 
 
-def test_vertices_lie_where_numpy_looks_them_up(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    camera = camera_at(0, 0, 0.7)
-    renderer.draw([still("p0")], camera)
-    _, _, heads = renderer.read_surface()
-    vertices = sample_vertices(some_maps(TOY)[0], TOY.tensors["mesh.vertex_uv"])
-    pixels, _ = camera.project(vertices)
-    rows, columns = np.nonzero(heads == 0)
-    assert abs(pixels[:, 0].min() - columns.min()) < 2
-    assert abs(pixels[:, 1].max() - rows.max()) < 2
-
-
 @pytest.mark.parametrize("weights", ["block", "turns"])
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_pixel_has_the_colour_that_numpy_computes(
@@ -140,16 +134,12 @@ def test_a_nearer_head_hides_a_farther_one(context: moderngl.Context) -> None:
     assert (heads == 1).sum() < 0.2 * (heads == 0).sum()
 
 
-def test_the_inside_of_a_head_is_not_drawn(context: moderngl.Context) -> None:
+@pytest.mark.parametrize("z", [3.0, math.nan])
+def test_a_head_behind_the_camera_or_nowhere_costs_nothing(
+    context: moderngl.Context, z: float
+) -> None:
     renderer = renderer_with(context, TOY)
-    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.001), count_pixels=True)
-    assert stats.num_avatars == 1
-    assert stats.shaded_pixels == 0
-
-
-def test_a_head_behind_the_camera_costs_nothing(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    stats = renderer.draw([still("p0", 0, 0, 3)], camera_at(0, 0, 1), count_pixels=True)
+    stats = renderer.draw([still("p0", 0, 0, z)], camera_at(0, 0, 1), count_pixels=True)
     assert (stats.num_avatars, stats.num_triangles, stats.shaded_pixels) == (0, 0, 0)
 
 
@@ -282,3 +272,132 @@ def test_five_seats_look_as_they_did(
         Image.fromarray(amplified).save(tmp_path / "five_seats_difference.png")
         Image.fromarray(image).save(tmp_path / "five_seats.png")
         pytest.fail(f"differs by up to {difference.max()} of 255; see {tmp_path}")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -3e38, 3e38])
+@pytest.mark.parametrize("part", ["everywhere", "a row"])
+def test_broken_maps_harm_nobody_else(context: moderngl.Context, value: float, part: str) -> None:
+    renderer = renderer_with(context, TOY, SISTER)
+    # The broken head is the nearer one, but beside its neighbour on the screen.
+    both = [still("p0", -0.2, 0, 0.3), still("p1", 0.2)]
+    camera = camera_at(0, 0, 1.5)
+    renderer.draw([both[1]], camera)
+    wanted, heads = renderer.read_image(), renderer.read_surface()[2]
+    broken, codes = (each.copy() for each in some_maps(TOY))
+    rows = slice(None) if part == "everywhere" else slice(100, 101)
+    broken[rows], codes[rows] = value, value
+    renderer.update_maps("p0", broken, codes)
+    renderer.draw(both, camera)
+    np.testing.assert_array_equal(renderer.read_image()[heads == 0], wanted[heads == 0])
+
+
+def test_a_map_that_reaches_out_is_held_within_its_bounds(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    positions, codes = some_maps(TOY)
+    renderer.update_maps("p0", positions * 50, codes)
+    camera = camera_at(0, 0, 1.5)
+    renderer.draw([still("p0")], camera)
+    xyz_m, _, heads = renderer.read_surface()
+    low, high = np.array(TOY.manifest.bounds_min_m), np.array(TOY.manifest.bounds_max_m)
+    margin = gpu_avatar.BOUNDS_MARGIN_M + 1e-4
+    assert (xyz_m[heads == 0] >= low - margin).all()
+    assert (xyz_m[heads == 0] <= high + margin).all()
+
+
+@pytest.mark.parametrize(
+    ("centre_m", "most"),
+    [
+        ((0, 0, 0.001), 0),  # the inside is not drawn
+        ((0, 0.02, 0.06), math.prod(SIZE)),
+        ((0.05, 0, 0.02), math.prod(SIZE)),
+        ((0, 0, 0.097), math.prod(SIZE)),
+        ((0, 0, 0.12), math.prod(SIZE)),
+        ((0, 0, -0.05), math.prod(SIZE)),
+    ],
+)
+def test_a_camera_in_a_head_or_on_its_skin_draws_a_frame(
+    context: moderngl.Context, centre_m: tuple[float, float, float], most: int
+) -> None:
+    renderer = renderer_with(context, TOY)
+    stats = renderer.draw([still("p0")], camera_at(*centre_m), count_pixels=True)
+    assert stats.num_avatars == 1
+    assert (stats.shaded_pixels or 0) <= most
+    assert renderer.read_image().shape == (SIZE[1], SIZE[0], 3)
+
+
+def test_a_head_that_fills_the_screen_shades_each_pixel_once(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY)
+    stats = renderer.draw([still("p0")], camera_at(0, 0, 0.25, fov=0.2), count_pixels=True)
+    assert stats.shaded_pixels == math.prod(layer_size(SIZE))
+    assert (renderer.read_surface()[2] == 0).all()
+
+
+def test_heads_of_a_pixel_cost_a_pixel(context: moderngl.Context) -> None:
+    renderer = renderer_with(context, TOY, SISTER, TOY)
+    crowd = [still(f"p{i}", 1.5 * i - 1.5, 0, 0) for i in range(3)]
+    stats = renderer.draw(crowd, camera_at(0, 0, 19, fov=2.2), count_pixels=True)
+    assert len(stats.drawn) == 3
+    assert (stats.shaded_pixels or 0) <= 3 * 4
+
+
+def test_an_avatar_whose_shader_fails_leaves_the_others_alone(
+    context: moderngl.Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    renderer = renderer_with(context, TOY)
+    both = [still("p0", -0.15), still("p1", 0.15)]
+    camera = camera_at(0, 0, 1.2)
+    renderer.draw(both[:1], camera)
+    alone, heads = renderer.read_image(), renderer.read_surface()[2]
+    monkeypatch.setattr(
+        gpu_avatar,
+        "siren_source",
+        lambda *_, **__: "vec4 encode_xyz(vec3 x) { return odd_driver; }",
+    )
+    with pytest.raises(ShaderError, match=r"odd_driver.* in .vec4 encode_xyz"):
+        renderer.add_avatar("p1", SISTER)
+    stats = renderer.draw(both, camera)
+    assert (stats.num_avatars, stats.num_placeholders) == (1, 1)
+    np.testing.assert_array_equal(renderer.read_image()[heads == 0], alone[heads == 0])
+
+
+def test_a_context_that_is_too_old_is_refused_with_the_fix() -> None:
+    old = cast(moderngl.Context, SimpleNamespace(version_code=210))
+    with pytest.raises(GraphicsError, match=r"version 2\.1; 3\.3 is needed: install or update"):
+        Renderer(old, SIZE)
+
+
+def test_a_driver_that_is_too_old_gives_no_context(context: moderngl.Context) -> None:
+    if "Mesa" not in context.info["GL_VERSION"]:
+        pytest.skip("only Mesa can be told to pretend to be older")
+    script = (
+        "from pica_core.gl import create_context\n"
+        "from pica_core.errors import GraphicsError\n"
+        "try:\n    create_context()\nexcept GraphicsError as error:\n    print(error)\n"
+    )
+    pretend = {"MESA_GL_VERSION_OVERRIDE": "2.1", "MESA_GLSL_VERSION_OVERRIDE": "120"}
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, **pretend},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert run.stdout.startswith("no OpenGL 3.3 context")
+    assert "update the graphics driver" in run.stdout
+
+
+def test_what_the_driver_complains_of_comes_out_when_the_image_is_read(
+    context: moderngl.Context,
+) -> None:
+    try:
+        enable = ctypes.CDLL("libGL.so.1").glEnable
+    except OSError:
+        pytest.skip("glEnable cannot be called by name here")
+    renderer = renderer_with(context, TOY)
+    renderer.draw([still("p0")], camera_at(0, 0, 1))
+    enable(0xFFFF)  # there is no such thing to enable
+    with pytest.raises(GraphicsError, match="driver reports GL_INVALID_ENUM"):
+        renderer.read_image()
+    renderer.draw([still("p0")], camera_at(0, 0, 1))
+    renderer.read_image()

@@ -21,7 +21,7 @@ from pica_core.avatar.levels import STILL_NAME
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
-from pica_core.reference import BaselineAvatar, decode_pixels
+from pica_core.reference import decode_pixels
 from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render
@@ -224,35 +224,23 @@ def test_far_heads_average_what_their_pixels_cover(context: moderngl.Context, ma
     assert errors[0] < 0.6 * errors[1]
 
 
-def textured_toy() -> tuple[BaselineAvatar, np.ndarray, np.ndarray]:
-    """The toy's mesh with a texture whose colours say where they are."""
-    uv = TOY.tensors["mesh.vertex_uv"]
+def test_a_textured_head_shows_its_texture_where_the_other_kind_would_be(
+    context: moderngl.Context, maps: Maps
+) -> None:
+    renderer = renderer_with(context, maps, 256)
     mesh = painted_head(
-        vertex_uv=uv,
+        vertex_uv=TOY.tensors["mesh.vertex_uv"],
         faces=TOY.tensors["mesh.faces"],
         low_m=TOY.manifest.bounds_min_m,
         high_m=TOY.manifest.bounds_max_m,
         texture_size=64,
     )
-    texel = (np.arange(64, dtype=np.float32) + 0.5) / 64
-    u, v = np.meshgrid(texel, texel)
-    colours = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
-    return mesh, TOY.mean_vertices_m, colours
-
-
-def renderer_with_texture(context: moderngl.Context, maps: Maps) -> Renderer:
-    renderer = renderer_with(context, maps, 256)
-    mesh, vertices, texture = textured_toy()
     renderer.add_textured("painted", mesh)
     assert renderer.draw([placed("painted")], NEAR).num_placeholders == 1
-    renderer.update_textured("painted", vertices, texture)
-    return renderer
-
-
-def test_a_textured_head_shows_its_texture_where_the_other_kind_would_be(
-    context: moderngl.Context, maps: Maps
-) -> None:
-    renderer = renderer_with_texture(context, maps)
+    texel = (np.arange(64, dtype=np.float32) + 0.5) / 64
+    u, v = np.meshgrid(texel, texel)
+    colours = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)  # they say where they are
+    renderer.update_textured("painted", TOY.mean_vertices_m, colours)
     renderer.update_maps("p0", TOY.tensors["linear.mean"], None)
     renderer.draw([placed()], NEAR)
     _, uv, heads = renderer.read_surface()
