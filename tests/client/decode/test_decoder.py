@@ -13,13 +13,12 @@ import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode import decoder
-from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder
+from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.reference import baseline_like
 
 pytestmark = pytest.mark.unit
 
@@ -117,11 +116,8 @@ def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> Non
             pool.submit(f"peer-{index}", request(0.1 * index, captured_us=1000 + index))
         assert pool.wait_idle(PATIENCE_S)
         results = {result.slot: result for result in pool.take_results()}
-    assert {slot: result.captured_us for slot, result in results.items()} == {
-        "peer-0": 1000,
-        "peer-1": 1001,
-        "peer-2": 1002,
-    }
+    times_us = {slot: result.captured_us for slot, result in results.items()}
+    assert times_us == {f"peer-{index}": 1000 + index for index in range(3)}
     assert all(result.maps is not None and result.error is None for result in results.values())
     assert all(result.decode_s > 0 and result.waited_s >= 0 for result in results.values())
 
@@ -247,14 +243,6 @@ def test_closing_drops_what_waits_and_ends_the_threads() -> None:
     pool.add("a", TOY)
     pool.close()
     assert threading.active_count() == before
-
-
-def test_the_baseline_decodes_vertices_and_a_texture() -> None:
-    baseline = baseline_like(TOY)
-    latent = np.zeros((8, 8, 4), np.float32)
-    vertices_m, texture = BaselineDecoder(baseline).decode(latent, AHEAD)
-    assert vertices_m.shape == (baseline.spec.num_vertices, 3)
-    assert texture.shape == (1024, 1024, 3)
 
 
 @pytest.mark.parametrize(

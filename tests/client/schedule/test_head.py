@@ -120,11 +120,3 @@ def test_both_eyes_share_one_decode(avatar: Avatar) -> None:
     assert len(requests_of([ada], 0.0)) == 1
     one = planned(Scheduler(), head(avatar))
     assert plan.shaded_px == pytest.approx(2 * one.shaded_px, rel=0.1)
-
-
-def test_a_latent_of_another_shape_is_decoded_for_the_decoder_to_refuse(avatar: Avatar) -> None:
-    scheduler, ada = Scheduler(), head(avatar)
-    asked(scheduler, ada)
-    ada.latent = np.zeros((2, 2), np.float32)
-    (request,) = asked(scheduler, ada, now=FRAME_S)
-    assert request.latent is ada.latent

@@ -95,10 +95,11 @@ def test_what_has_changed_is_decoded(
     assert (choice.decode, choice.level) == (decode, 256)
 
 
-def test_detail_follows_the_height_on_the_screen() -> None:
+def test_detail_and_the_part_of_a_stream_follow_the_height_on_the_screen() -> None:
     heights = (30, 100, 300, 1000)
     found = [detail(choose(view(head_px=px, held_level=None))) for px in heights]
     assert found == [(1, 64, 64), (1, 128, 128), (1, 256, 128), (1, 256, 256)]
+    assert [choose(view(head_px=px)).every for px in (5, 20, 200)] == [4, 2, 1]
 
 
 def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_coarser() -> None:
@@ -234,10 +235,6 @@ def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
     scheduler, head = Scheduler(), view(head_px=1000)
     assert detail(scheduler.plan([head], 0.0, 1.0).choices["ada"]) == (0.5, 64, 64)
     assert detail(scheduler.plan([head], AMPLE_S, 2.0).choices["ada"]) == (1, 256, 256)
-
-
-def test_a_small_head_wants_a_part_of_its_stream() -> None:
-    assert [choose(view(head_px=px)).every for px in (5, 20, 200)] == [4, 2, 1]
 
 
 def test_what_is_measured_reaches_the_cost_model() -> None:
