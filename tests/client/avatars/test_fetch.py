@@ -6,12 +6,13 @@ import asyncio
 import hashlib
 import os
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
-from dataclasses import dataclass, field
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -48,30 +49,23 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> AvatarFile:
     return AvatarFile(path, data, id_of(data))
 
 
-@dataclass
-class BadRelay:
-    """An HTTP server that answers as it is told."""
-
-    url: str = ""
-    data: bytes = FILE
-    status: int = 200
-    breaks_after: int | None = None
-    """Bytes after which each connection breaks."""
-    headers: dict[str, str] = field(default_factory=dict)
-
-
 @contextmanager
-def bad_relay(**settings: object) -> Iterator[BadRelay]:
-    relay = BadRelay(**settings)  # type: ignore[arg-type]
+def bad_relay(
+    *,
+    data: bytes = FILE,
+    status: int = 200,
+    breaks_after: int | None = None,
+    headers: Mapping[str, str] = MappingProxyType({}),
+) -> Iterator[str]:
+    """The address of an HTTP server that answers so, and breaks connections after so many bytes."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            self.send_response(relay.status)
-            headers = {"Content-Length": str(len(relay.data))}
-            for name, value in (headers | relay.headers).items():
+            self.send_response(status)
+            for name, value in ({"Content-Length": str(len(data))} | dict(headers)).items():
                 self.send_header(name, value)
             self.end_headers()
-            self.wfile.write(relay.data[: relay.breaks_after])
+            self.wfile.write(data[:breaks_after])
 
         def log_message(self, format: str, *args: object) -> None:
             pass
@@ -79,9 +73,8 @@ def bad_relay(**settings: object) -> Iterator[BadRelay]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
-    relay.url = f"ws://127.0.0.1:{server.server_port}"
     try:
-        yield relay
+        yield f"ws://127.0.0.1:{server.server_port}"
     finally:
         server.shutdown()
         thread.join()
@@ -110,26 +103,26 @@ def test_the_store_is_where_the_relay_is() -> None:
         ({"breaks_after": 10}, False),
     ],
 )
-def test_another_answer_of_a_relay_is_an_error(settings: dict[str, object], is_final: bool) -> None:
+def test_another_answer_of_a_relay_is_an_error(settings: dict[str, Any], is_final: bool) -> None:
     error = RelayRefusedError if is_final else RelayUnreachableError
-    with bad_relay(**settings) as relay, pytest.raises(error):
-        download(relay.url, ID)
+    with bad_relay(**settings) as url, pytest.raises(error):
+        download(url, ID)
 
 
 def test_a_file_comes_whole_unless_it_is_no_longer_wanted_or_takes_too_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ratios: list[float] = []
-    with bad_relay() as relay:
-        data = download(relay.url, ID, progress=lambda ratio: ratios.append(ratio) or True)
+    with bad_relay() as url:
+        data = download(url, ID, progress=lambda ratio: ratios.append(ratio) or True)
         assert data == FILE
         assert ratios == sorted(ratios)
         assert ratios[-1] == 1
         with pytest.raises(RelayUnreachableError, match="no longer wanted"):
-            download(relay.url, ID, progress=lambda ratio: False)
+            download(url, ID, progress=lambda ratio: False)
         monkeypatch.setattr(avatar_fetch, "MAX_DOWNLOAD_S", -1.0)
         with pytest.raises(RelayUnreachableError, match="too slowly"):
-            download(relay.url, ID)
+            download(url, ID)
 
 
 # The cache
@@ -154,10 +147,8 @@ def test_a_cache_gives_back_what_it_was_given_and_drops_what_was_used_longest_ag
 
 
 @contextmanager
-def fetcher(
-    url: str | Callable[[], str], folder: Path, *, shipped: list[Path] | None = None
-) -> Iterator[AvatarFetcher]:
-    library = AvatarLibrary(shipped=shipped or [])
+def fetcher(url: str | Callable[[], str], folder: Path) -> Iterator[AvatarFetcher]:
+    library = AvatarLibrary(shipped=[])
     fetching = AvatarFetcher(
         library, url if callable(url) else lambda: url, cache=AvatarCache(folder)
     )
@@ -226,7 +217,7 @@ async def test_a_malformed_file_is_an_error_for_its_face_alone_and_is_not_kept(
 @pytest.mark.asyncio
 async def test_an_avatar_that_will_not_come_is_an_error_with_the_fix(tmp_path: Path) -> None:
     words = "is missing: the relay keeps no avatars; get "
-    with bad_relay(status=501) as relay, fetcher(relay.url, tmp_path) as fetching:
+    with bad_relay(status=501) as url, fetcher(url, tmp_path) as fetching:
         fetching.get(ID)
         await until(lambda: words in fetching.note(ID))
         with pytest.raises(AvatarFileError, match=words):
@@ -249,7 +240,7 @@ def test_more_wanted_avatars_than_can_be_forget_the_one_asked_for_longest_ago(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(avatar_fetch, "MAX_WANTED", 2)
-    with bad_relay(status=404) as relay, fetcher(relay.url, tmp_path) as fetching:
+    with bad_relay(status=404) as url, fetcher(url, tmp_path) as fetching:
         for number in range(3):
             fetching.get(f"{number:064x}")
         assert [fetching.note(f"{number:064x}") != "" for number in range(3)] == [
@@ -262,12 +253,6 @@ def test_more_wanted_avatars_than_can_be_forget_the_one_asked_for_longest_ago(
 # Giving
 
 
-def push(url: str, path: Path, **settings: Path) -> Coroutine[None, None, bool]:
-    identity = id_of(path.read_bytes()) if path.exists() else ID
-    link = LinkConfig(url=url, **settings)  # type: ignore[arg-type]
-    return push_avatar(url, link, path, identity)
-
-
 @pytest.mark.asyncio
 async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
     toy: AvatarFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -276,12 +261,13 @@ async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
     config = {"tls_cert": cert, "tls_key": cert.with_suffix(".key")}
     async with store_relay(config=config) as relay:
         assert relay.url.startswith("wss://")
+        giving = partial(push_avatar, relay.url, LinkConfig(url=relay.url))
         with pytest.raises(RelayRefusedError):
-            await push(relay.url, toy.path)
+            await giving(toy.path, toy.identity)
         with pytest.raises(RelayUnreachableError):
             await asyncio.to_thread(download, relay.url, toy.identity)
         monkeypatch.setenv("SSL_CERT_FILE", str(cert))
-        await push(relay.url, toy.path)
+        await giving(toy.path, toy.identity)
         got = await asyncio.to_thread(download, relay.url, toy.identity)
         assert got == toy.data
 

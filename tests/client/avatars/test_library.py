@@ -10,7 +10,6 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars import library as module
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import GiveAvatar, avatar_by_name, giver_of
-from pica_client.errors import OptionError
 from pica_client.local_call.local_call import NAMES
 from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import save_avatar, shipped_avatar_files
@@ -47,11 +46,6 @@ def test_the_people_of_the_examples_look_different_though_nobody_chose() -> None
 def test_everybody_looks_the_same_in_each_call_however_the_name_is_typed() -> None:
     for name, alike in (("Ada", " ada "), ("José", "Jose\u0301")):
         assert avatar_by_name(name, SHIPPED) == avatar_by_name(alike, SHIPPED)
-
-
-def test_without_any_avatar_the_remedy_is_named() -> None:
-    with pytest.raises(OptionError, match="--avatar FILE"):
-        avatar_by_name("Ada", [])
 
 
 @pytest.mark.parametrize(

@@ -24,25 +24,15 @@ def rng(seed: int = 0) -> np.random.Generator:
 def run(
     impairment: Impairment, count: int, *, seed: int = 0
 ) -> tuple[list[tuple[float, int]], FramePath]:
-    """Send frames 0.. at 30 fps, and take all that comes within another 20 s."""
+    """Send frames 0.. of 100 bytes at 30 fps, and take all that comes within another 20 s."""
     path = FramePath(impairment, rng(seed))
     arrived = []
     for index in range(count):
         now = index * FRAME_S
         arrived += path.arrivals(now)
-        path.send(frame(index), now)
+        path.send(Frame(stream=1, sequence=index, captured_us=0, payload=bytes(49)), now)
     arrived += path.arrivals(count * FRAME_S + 20)
     return [(arrival_s, frame.sequence) for arrival_s, frame in arrived], path
-
-
-def frame(index: int) -> Frame:
-    """A message of 100 bytes on the wire."""
-    return Frame(
-        stream=1,
-        sequence=index,
-        captured_us=0,
-        payload=bytes(49),
-    )
 
 
 def delays(arrived: list[tuple[float, int]]) -> np.ndarray:

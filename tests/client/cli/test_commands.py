@@ -1,24 +1,19 @@
-"""What the client's commands say about bad input, and what the doctor says about a bare machine."""
+"""What the client's commands say about bad input, and with which status they end."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from helpers.toy import make_toy_avatar
+from pica_client.cli import demo
 from pica_command.main import main
 from pica_core.avatar import file as avatar_file
 from pica_core.avatar.file import save_avatar
 
 pytestmark = pytest.mark.unit
-
-
-@pytest.fixture
-def avatar(tmp_path: Path) -> str:
-    path = tmp_path / "toy.pica"
-    save_avatar(path, make_toy_avatar())
-    return str(path)
 
 
 @pytest.mark.parametrize(
@@ -51,6 +46,7 @@ def avatar(tmp_path: Path) -> str:
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
         (["bench", "call", "--seconds", "-1"], "seconds is -1; 0.1 to 600"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
+        (["bench", "voice", "--seconds", "8"], "seconds is 8; "),
         (["bench", "voice", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
     ],
 )
@@ -76,10 +72,11 @@ def test_no_film_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize("num_bytes", [5000, 20_000])
 def test_a_truncated_avatar_is_named_with_the_fix(
-    num_bytes: int, avatar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    num_bytes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "cut.pica"
-    cut.write_bytes(Path(avatar).read_bytes()[:num_bytes])
+    save_avatar(cut, make_toy_avatar())
+    cut.write_bytes(cut.read_bytes()[:num_bytes])
     for command in ("send", "view"):
         assert main([command, "--avatar", str(cut)]) == 2
         (line,) = capsys.readouterr().err.strip().splitlines()
@@ -95,3 +92,20 @@ def test_a_build_without_avatars_says_so_in_one_line(
     assert capsys.readouterr().err == (
         "pica send: no avatar ships with this package; name one with --avatar FILE\n"
     )
+
+
+@pytest.mark.parametrize(("drawn", "status"), [(15, 0), (14, 1), (0, 1)])
+def test_a_demo_that_did_not_draw_everybody_ends_with_one_and_says_what_helps(
+    drawn: int,
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stats: dict[str, Any] = {"peers": 15, "rendered_peers": drawn, "render_fps": 10.0}
+    stats |= {"gl_renderer": "none", "latency_ms": {"p50": 1, "p99": 2}, "errors": 0}
+    monkeypatch.setattr(demo, "run_demo", lambda config: stats)
+    assert main(["demo", "--headless", "--out", str(tmp_path)]) == status
+    said = capsys.readouterr().err
+    assert f"{drawn} of 15 peers drawn" in said
+    assert ("more --seconds or fewer --peers" in said) == (status == 1)

@@ -23,10 +23,10 @@ def values(**shapes: float) -> FloatArray:
     return arkit
 
 
-def feed(face: LiveFace, begin: int, end: int, **shapes: float) -> None:
+def feed(face: LiveFace, begin: int, end: int, *, clock_s: float = 1000, **shapes: float) -> None:
     for index in range(begin, end):
         tracker_s = index * STEP_S
-        sample = TrackerSample(tracker_s=1000 + tracker_s, arkit=values(**shapes))
+        sample = TrackerSample(tracker_s=clock_s + tracker_s, arkit=values(**shapes))
         face.push(sample, tracker_s + 0.01)
 
 
@@ -85,9 +85,7 @@ def test_a_face_that_comes_back_does_not_snap() -> None:
 def test_a_tracker_whose_clock_is_set_anew_goes_on() -> None:
     face = LiveFace()
     feed(face, 0, 60, jawOpen=0.1)
-    for index in range(60, 120):
-        sample = TrackerSample(tracker_s=index * STEP_S, arkit=values(jawOpen=0.6))
-        face.push(sample, index * STEP_S + 0.01)
+    feed(face, 60, 120, clock_s=0, jawOpen=0.6)
     assert face.face_at(2.0).arkit[JAW] == pytest.approx(0.6, abs=0.02)
 
 

@@ -16,7 +16,7 @@ import pytest
 from helpers import tracker_packets
 from pica_client.cli.track import Recorder
 from pica_client.errors import SourceError
-from pica_client.sources import Tracker, open_source
+from pica_client.sources import open_source
 from pica_client.sources.calibration import (
     Calibration,
     calibrate,
@@ -62,17 +62,6 @@ def stream(phone: socket.socket, tracker: UdpTracker, jaw: float, subject: str =
         return face.has_face and abs(float(face.arkit[JAW]) - jaw) < 0.02
 
     until(shows)
-
-
-def test_a_face_comes_through_a_socket_and_is_a_little_old(phone: socket.socket) -> None:
-    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
-        assert isinstance(tracker, Tracker)
-        stream(phone, tracker, 0.7)
-        time_s = 12.0
-        face = tracker.frame_at(time_s)
-        later = tracker.frame_at(time_s + 0.01)
-        assert later.captured_us >= face.captured_us
-        assert tracker.trouble == ""
 
 
 def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) -> None:

@@ -1,6 +1,5 @@
 """A webcam: its networks on a real face and on drawn ones, its camera, its bad days."""
 
-import functools
 import hashlib
 import itertools
 import threading
@@ -164,21 +163,18 @@ def test_a_video_stands_in_for_a_camera(networks: FaceNetworks, video: Path) -> 
     assert np.all(np.diff([sample.tracker_s or 0.0 for sample in seen]) > 0)
 
 
-def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
-    def film() -> Iterator[SimpleNamespace]:
-        wide = Image.new("RGB", (8, 4))
-        wide.putpixel((0, 0), (255, 0, 0))
-        for number in range(2):
-            yield SimpleNamespace(
-                width=8,
-                height=4,
-                rotation=-90,
-                side_data={},
-                time=7200 + number,
-                to_image=wide.copy,
-            )
+def decoded(image: Image.Image, time_s: float, rotation: int = 0) -> SimpleNamespace:
+    """A picture as a container gives it."""
+    size = {"width": image.width, "height": image.height}
+    told = {"time": time_s, "rotation": rotation, "side_data": {}}
+    return SimpleNamespace(**size, **told, to_image=image.copy)
 
-    container = SimpleNamespace(name="", decode=lambda video: film())
+
+def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
+    wide = Image.new("RGB", (8, 4))
+    wide.putpixel((0, 0), (255, 0, 0))
+    film = [decoded(wide, time_s, rotation=-90) for time_s in (7200, 7201)]
+    container = SimpleNamespace(name="", decode=lambda video: iter(film))
     waits: list[float] = []
     shown = pictures(container, True, lambda seconds: waits.append(seconds) or len(waits) == 3)
     (first, first_s), (_, second_s) = next(shown), next(shown)
@@ -233,10 +229,7 @@ class Film:
     def decode(self, video: int) -> Iterator[SimpleNamespace]:
         if not self._is_over:
             self._is_over = True
-            to_image = functools.partial(Image.new, "RGB", (8, 8))
-            yield SimpleNamespace(
-                width=8, height=8, time=0.5, rotation=0, side_data={}, to_image=to_image
-            )
+            yield decoded(Image.new("RGB", (8, 8)), 0.5)
             self._hold()
 
     def seek(self, offset: int) -> None:

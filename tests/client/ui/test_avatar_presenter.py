@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,19 +24,25 @@ pytestmark = pytest.mark.render
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
 
 
-class OneFace:
-    """Somebody who holds still, or several of them."""
+class MovingFaces:
+    """Two people whose faces and heads are never still, but for those who rest."""
 
-    def __init__(self, count: int = 1) -> None:
-        self.peer_ids = [f"p{number}" for number in range(1, count + 1)]
+    def __init__(self) -> None:
+        self.taken_s = {"p1": 0.0, "p2": 0.0}
 
     def faces(
         self, now: float, ahead_s: float = 0.0, resting: Container[str] = ()
     ) -> list[FaceState]:
-        latent = np.zeros((8, 8, 4), np.float32)
+        self.taken_s |= {peer_id: now for peer_id in self.taken_s if peer_id not in resting}
         return [
-            FaceState(peer_id=peer_id, name="Ada", avatar_id="5" * 64, latent=latent)
-            for peer_id in self.peer_ids
+            FaceState(
+                peer_id=peer_id,
+                name="Ada",
+                avatar_id="5" * 64,
+                latent=np.full((8, 8, 4), taken_s, np.float32),
+                rotation=np.array([0, 0.1 * taken_s, 0], np.float32),
+            )
+            for peer_id, taken_s in self.taken_s.items()
         ]
 
     def avatar(self, avatar_id: str) -> Avatar:
@@ -45,27 +50,6 @@ class OneFace:
 
     def subscribe(self, peer_id: str, every: int, now: float) -> None:
         """There is no stream."""
-
-
-class MovingFaces(OneFace):
-    """Several people whose faces and heads are never still, but for those who rest."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__(count)
-        self.taken_s = dict.fromkeys(self.peer_ids, 0.0)
-
-    def faces(
-        self, now: float, ahead_s: float = 0.0, resting: Container[str] = ()
-    ) -> list[FaceState]:
-        self.taken_s |= {peer_id: now for peer_id in self.peer_ids if peer_id not in resting}
-        return [
-            replace(
-                face,
-                latent=np.full((8, 8, 4), self.taken_s[face.peer_id], np.float32),
-                rotation=np.array([0, 0.1 * self.taken_s[face.peer_id], 0], np.float32),
-            )
-            for face in super().faces(now)
-        ]
 
 
 @pytest.mark.parametrize(("budget_s", "num_faces"), [(math.inf, 30), (0.0, 8)])
@@ -77,7 +61,7 @@ def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
     seen: dict[str, set[bytes]] = {"p1": set(), "p2": set()}
     with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
         presenter = AvatarPresenter(
-            MovingFaces(2), renderer, pool, Scheduler(), levels=lambda: {**spoken, "p2": 127}
+            MovingFaces(), renderer, pool, Scheduler(), levels=lambda: {**spoken, "p2": 127}
         )
         for image in range(31):
             now = 1 + image / 30

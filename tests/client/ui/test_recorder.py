@@ -22,10 +22,11 @@ def grey(level: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
     return np.full((size[1], size[0], 4), level, np.uint8)
 
 
-def frames_of(path: Path) -> list[tuple[float, int]]:
+def frames_of(path: Path) -> list[tuple[float, np.ndarray]]:
+    """Times and grey pictures."""
     with av.open(str(path)) as container:
         return [
-            (float(frame.pts * frame.time_base), int(frame.to_ndarray(format="gray").mean()))
+            (float(frame.pts * frame.time_base), frame.to_ndarray(format="gray"))
             for frame in container.decode(video=0)
         ]
 
@@ -36,7 +37,7 @@ def test_frames_keep_their_times_and_brightness_at_a_rate_that_players_know(tmp_
             recorder.write(grey(level), time_s)
     frames = frames_of(tmp_path / "a.mp4")
     assert [time_s for time_s, _ in frames] == pytest.approx([0, 0.033, 0.5, 0.533], abs=9e-3)
-    levels = [level for _, level in frames]
+    levels = [int(frame.mean()) for _, frame in frames]
     assert levels == sorted(levels)
     assert levels[-1] - levels[0] > 100
     with av.open(str(tmp_path / "a.mp4")) as container:
@@ -49,9 +50,8 @@ def test_a_window_of_another_size_is_recorded_whole(tmp_path: Path) -> None:
             image = grey(60, (width, height))
             image[:, width // 2 :] = 220
             recorder.write(image, index / 10)
-    with av.open(str(tmp_path / "a.mp4")) as container:
-        frames = [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
-    for frame, (top, bottom) in zip(frames, ((0, 48), (0, 48), (18, 30)), strict=True):
+    places = ((0, 48), (0, 48), (18, 30))
+    for (_, frame), (top, bottom) in zip(frames_of(tmp_path / "a.mp4"), places, strict=True):
         shown = frame[top + 2 : bottom - 2].astype(int)
         assert np.abs(shown[:, 2:28] - 60).max() < 20
         assert np.abs(shown[:, 36:62] - 220).max() < 20
@@ -132,16 +132,11 @@ def test_sound_is_in_step_with_the_pictures(tmp_path: Path) -> None:
                 track.add("own", tone(440.0, 102.5, at_s - 0.04), at_s - 0.04)
 
     with av.open(str(path)) as container:
-        pictures = [
-            (frame.time, frame.to_ndarray(format="gray").mean())
-            for frame in container.decode(video=0)
-        ]
-    with av.open(str(path)) as container:
         frames = list(container.decode(audio=0))
         first_s = frames[0].time
         sound = np.concatenate([frame.to_ndarray()[0] for frame in frames])
         rate = container.streams.audio[0].rate
-    flash_s = next(time_s for time_s, shade in pictures if shade > 100)
+    flash_s = next(time_s for time_s, frame in frames_of(path) if frame.mean() > 100)
     onset_s = first_s + np.argmax(np.abs(sound) > 0.1) / rate
     assert abs(onset_s - flash_s) <= 1 / fps
     assert first_s + len(sound) / rate == pytest.approx(seconds, abs=1 / fps)

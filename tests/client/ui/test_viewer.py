@@ -44,7 +44,6 @@ class Faces:
         self.avatar_of = dict.fromkeys(peers, "toy")
         self.without_latent: set[str] = set()
         self.status: FaceStatus = "live"
-        self.subscribed: set[tuple[str, int | None]] = set()
 
     def faces(self, now: float, *_: object) -> list[FaceState]:
         return [
@@ -66,7 +65,7 @@ class Faces:
         return self.avatars[avatar_id]
 
     def subscribe(self, peer_id: str, every: int, now: float) -> None:
-        self.subscribed.add((peer_id, every))
+        """There is no stream."""
 
 
 def do(viewer: Viewer, *events: Event) -> None:
