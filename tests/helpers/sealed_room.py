@@ -7,19 +7,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
 from pica_protocol.frames import Frame
-from pica_protocol.messages import (
-    Joined,
-    Peer,
-    PeerJoined,
-    PeerLeft,
-    Track,
-    Whisper,
-)
+from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track, Whisper
 from pica_protocol.session import ClientEvent
 
 SECRET = RoomSecret(bytes(range(32)))
@@ -50,7 +43,6 @@ class Room:
         now: The clock; `run` moves it.
         whispers: All that were ever sent, in order.
         fate: Says how often a whisper arrives: 0 is lost.
-        frames: All sealed frames that were ever sent, by name of the sender.
     """
 
     def __init__(self, fate: Callable[[Whispered], int] = lambda whispered: 1) -> None:
@@ -58,7 +50,6 @@ class Room:
         self.whispers: list[Whispered] = []
         self.fate = fate
         self.members: dict[str, Member] = {}
-        self.frames: dict[str, list[Frame]] = {}
         self._under_way: list[tuple[float, Whispered]] = []
         self._serial = 0
 
@@ -86,12 +77,7 @@ class Room:
         for other in self.members.values():
             other.take(other.guard.receive_event(PeerJoined(peer=peer), self.now))
         self.members[name] = member
-        self.frames.setdefault(name, [])
         return member
-
-    def others(self, name: str) -> list[str]:
-        """Everybody but one."""
-        return [other for other in self.members if other != name]
 
     def leave(self, name: str) -> Member:
         """Let somebody go."""
@@ -142,13 +128,7 @@ class Room:
             payload=payload,
         )
         member.sequence += 1
-        sealed = Frame(
-            stream=plain.stream,
-            sequence=plain.sequence,
-            captured_us=plain.captured_us,
-            payload=member.guard.seal(plain),
-        )
-        self.frames[name].append(sealed)
+        sealed = replace(plain, payload=member.guard.seal(plain))
         return sealed
 
     def send(self, name: str, payload: bytes = b"face") -> Frame:
@@ -169,3 +149,15 @@ class Room:
         before = len(member.frames)
         member.take(member.guard.receive_event(frame, self.now))
         return len(member.frames) > before
+
+
+def full_room(*names: str) -> Room:
+    """Everybody is there, has everybody's key, and has sent for a while."""
+    room = Room()
+    for name in names:
+        room.join(name)
+    room.run(2)
+    for name in names:
+        room.send(name)
+    room.run(2)
+    return room

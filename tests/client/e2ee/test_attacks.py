@@ -8,30 +8,15 @@ import pytest
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
-from helpers.sealed_room import DELAY_S, Room
+from helpers.sealed_room import DELAY_S, Room, full_room
 from pica_client.e2ee.guard import YOUNG_KEY_S
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, SILENT_S
 from pica_client.e2ee.secret import RoomSecret, SealState
 from pica_protocol.frames import Frame
-from pica_protocol.messages import (
-    Peer,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    Track,
-    Whisper,
-)
+from pica_protocol.messages import Peer, PeerBack, PeerJoined, PeerLeft, Track, Whisper
 from pica_protocol.session import ClientEvent, Closed
 
 pytestmark = pytest.mark.unit
-
-
-def settled_room(*names: str) -> Room:
-    room = Room()
-    for name in names:
-        room.join(name)
-    room.run(3)
-    return room
 
 
 def tell(room: Room, name: str, *events: ClientEvent) -> None:
@@ -56,7 +41,7 @@ def come_again(room: Room, name: str, forged: str) -> None:
 
 @pytest.mark.parametrize("forged", ["peer_back", "peer_left and peer_joined"])
 def test_no_frame_opens_again_after_a_forged_return(forged: str) -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     shown = [room.send("ben", bytes([number])) for number in range(5)]
     held_back = room.seal("ben", b"held back")
     notes = [whispered for whispered in room.whispers if whispered[:2] == ("ben", "ada")]
@@ -88,7 +73,7 @@ def test_who_left_before_we_knew_their_key_is_not_shown_when_their_notes_are_let
 
 
 def test_a_frame_does_not_open_on_two_connections_of_its_receiver() -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     room.leave("ben")
     ben = room.join("ben")
     room.run(4 * DELAY_S)
@@ -120,7 +105,7 @@ def test_a_key_given_on_another_id_of_one_receiver_opens_from_its_next_frame_onl
 
 @pytest.mark.parametrize("forged", ["peer_back", "peer_left and peer_joined"])
 def test_a_forged_return_costs_its_victim_no_change_of_keys_and_heals(forged: str) -> None:
-    room = settled_room("ada", "ben", "cho")
+    room = full_room("ada", "ben", "cho")
     room.run(YOUNG_KEY_S)
     come_again(room, "ada", forged)
     changes = room.members["ben"].guard.counters.key_changes
@@ -129,9 +114,8 @@ def test_a_forged_return_costs_its_victim_no_change_of_keys_and_heals(forged: st
     assert state(room, "ada", "ben") is SealState.VERIFIED
     for sender in ("ada", "ben", "cho"):
         frame = room.send(sender)
-        assert all(
-            room.members[name].frames[-1].stream == frame.stream for name in room.others(sender)
-        )
+        others = [member for name, member in room.members.items() if name != sender]
+        assert all(member.frames[-1].stream == frame.stream for member in others)
 
 
 LABELS = {
@@ -150,7 +134,7 @@ def with_track(peer: Peer, **changed: object) -> Peer:
 
 @pytest.mark.parametrize("label", LABELS)
 def test_who_is_relabelled_is_not_opened_and_said_to_be(label: str) -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     truth = room.members["ben"].peer
     tell(room, "ada", PeerLeft(peer_id="ben"), PeerJoined(peer=LABELS[label](truth)))
     room.run(10)
@@ -165,19 +149,13 @@ def test_who_is_relabelled_is_not_opened_and_said_to_be(label: str) -> None:
 
 
 def test_two_who_changed_places_are_not_opened() -> None:
-    room = settled_room("ada", "ben", "cho")
+    room = full_room("ada", "ben", "cho")
     ben, cho = (room.members[name].peer for name in ("ben", "cho"))
-    swapped = (
-        replace(ben, name="cho", tracks=cho.tracks),
-        replace(cho, name="ben", tracks=ben.tracks),
-    )
+    swapped = tuple(replace(a, name=b.name, tracks=b.tracks) for a, b in ((ben, cho), (cho, ben)))
     ada = room.members["ada"]
-    tell(
-        room,
-        "ada",
-        Closed(code=1006, reason="", is_remote=True),
-        replace(ada.joined, peers=swapped),
-    )
+    ada.frames.clear()
+    closed = Closed(code=1006, reason="", is_remote=True)
+    tell(room, "ada", closed, replace(ada.joined, peers=swapped))
     room.run(10)
     room.send("ben")
     room.send("cho")
@@ -186,7 +164,7 @@ def test_two_who_changed_places_are_not_opened() -> None:
 
 
 def test_keys_are_bound_to_the_room_that_was_asked_for() -> None:
-    room = settled_room("ada")
+    room = full_room("ada")
     ben = room.join("ben", asks_for="another room")  # and the relay puts him into this one
     room.run(10)
     room.send("ada")
@@ -197,7 +175,7 @@ def test_keys_are_bound_to_the_room_that_was_asked_for() -> None:
 
 @pytest.mark.parametrize("is_present", [True, False], ids=["in this call", "of an earlier call"])
 def test_replayed_notes_make_no_ghost_of_a_member(is_present: bool) -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     ada, gone = room.members["ada"], room.leave("ben").peer
     if not is_present:
         tell(room, "ada", Closed(code=1006, reason="", is_remote=True), ada.joined)
@@ -211,7 +189,7 @@ def test_replayed_notes_make_no_ghost_of_a_member(is_present: bool) -> None:
 
 
 def test_whoever_can_read_us_is_in_the_code_and_counts_when_it_has_shown_itself() -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     before = room.members["ada"].guard.status.code
     room.fate = lambda whispered: whispered[0] != "mallory" or whispered[2][53:57] == bytes(4)
     room.join("mallory")  # has the secret, takes keys, and says nothing more
@@ -223,7 +201,7 @@ def test_whoever_can_read_us_is_in_the_code_and_counts_when_it_has_shown_itself(
 
 
 def test_everybody_has_the_same_code_and_another_one_when_somebody_is_inserted() -> None:
-    room = settled_room("ada", "ben", "cho")
+    room = full_room("ada", "ben", "cho")
     codes = {member.guard.status.code for member in room.members.values()}
     assert len(codes) == 1
     (before,) = codes
@@ -250,7 +228,7 @@ def test_who_stands_between_two_gives_them_two_codes() -> None:
 
 
 def test_why_somebody_is_not_opened_is_said() -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     room.join("eve", secret=RoomSecret(bytes(32)))
     plain = Peer(peer_id="plain", name="P", tracks=(Track(kind="face", stream=50),))
     tell(room, "ada", PeerJoined(peer=plain), Whisper(peer_id="ben", data=b"made up"))
@@ -263,7 +241,7 @@ def test_why_somebody_is_not_opened_is_said() -> None:
 
 
 def test_two_who_are_both_fed_what_they_said_in_an_earlier_stay_find_each_other() -> None:
-    room = settled_room("ada", "ben")
+    room = full_room("ada", "ben")
     old = list(room.whispers)
     for name in ("ada", "ben"):
         room.leave(name)

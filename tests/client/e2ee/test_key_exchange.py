@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
-from helpers.sealed_room import DELAY_S, SECRET, Room
+from helpers.sealed_room import DELAY_S, SECRET, Room, full_room
 from pica_client.e2ee.frames import decode_header
 from pica_client.e2ee.guard import MESSAGES_AT_ONCE, YOUNG_KEY_S, Guard
 from pica_client.e2ee.peer_keys import LATE_FRAMES_S, LONGEST_WAIT_S, MESSAGE_BYTES
@@ -20,23 +20,10 @@ from pica_client.errors import SealError
 from pica_protocol.frames import Frame
 from pica_protocol.limits import MAX_WHISPER_BYTES
 from pica_protocol.messages import Whisper
-from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit
 
 OTHER_SECRET = RoomSecret(bytes(32))
-
-
-def full_room(*names: str) -> Room:
-    """Everybody is there, has everybody's key, and has sent for a while."""
-    room = Room()
-    for name in names:
-        room.join(name)
-    room.run(2)
-    for name in names:
-        room.send(name)
-    room.run(2)
-    return room
 
 
 def test_two_peers_agree_within_three_messages_each() -> None:
@@ -163,33 +150,6 @@ def test_without_the_secret_nobody_opens_anything_and_is_asked_ever_less() -> No
     asked = sum(sender == "ada" and to == "mallory" for sender, to, _ in room.whispers)
     assert asked <= 600 / LONGEST_WAIT_S + 10
     assert room.members["ada"].guard.counters.messages_refused > 0
-
-
-def test_an_old_note_under_a_reused_peer_id_gives_way_to_the_fresh_one() -> None:
-    room = full_room("ada", "ben")
-    hello = next(w for w in room.whispers if w[:2] == ("ben", "ada"))
-    room.leave("ben")
-    room.run(5)
-    ben = room.join("ben")
-    room.deliver(*hello)  # the relay repeats what another ben said
-    room.run(5)
-    room.send("ada", b"hello again")
-    assert ben.frames[-1].payload == b"hello again"
-
-
-def test_a_peer_that_came_back_unseen_is_met_again() -> None:
-    room = full_room("ada", "ben")
-    ben = room.members["ben"]
-    ben.take(ben.guard.receive_event(Closed(code=1006, reason="", is_remote=True), room.now))
-    room.run(1)
-    assert not room.show("ben", room.seal("ada"))
-    joined = replace(ben.joined, peers=(room.members["ada"].peer,))
-    ben.take(ben.guard.receive_event(joined, room.now))
-    room.run(1)
-    room.send("ada", b"to ben")
-    room.send("ben", b"to ada")
-    assert ben.frames[-1].payload == b"to ben"
-    assert room.members["ada"].frames[-1].payload == b"to ada"
 
 
 def test_a_public_key_that_was_given_up_does_not_come_back() -> None:
