@@ -83,10 +83,6 @@ def test_a_number_out_of_its_range_is_refused_by_name(
         StreamProfile.from_tensors(changed(name, array))
 
 
-FLAT = make_table([TOTAL // 4] * 4)
-STEEP = make_table([TOTAL - 24] + [1] * 24)
-
-
 @st.composite
 def tables(draw: st.DrawFn) -> Table:
     """Any table: a few cuts through the slots, some of them close together."""
@@ -139,24 +135,6 @@ def test_what_is_written_is_read_again_and_hardly_longer_than_what_it_says(
     ]
     assert read == [value for _, value in message]
     reader.finish()
-
-
-@settings(max_examples=100)
-@given(payload=st.binary(max_size=40), choices=st.lists(st.integers(0, 16), max_size=60))
-def test_any_bytes_are_symbols_of_the_tables_or_a_latent_error(
-    payload: bytes, choices: list[int]
-) -> None:
-    try:
-        reader = SymbolReader(payload)
-        for choice in choices:
-            if choice <= TOTAL_BITS:
-                assert 0 <= reader.read_uniform(choice) < 2**choice
-            else:
-                table = FLAT if choice == 15 else STEEP
-                assert 0 <= reader.read(table) < len(table.ranges)
-        reader.finish()
-    except LatentError:
-        pass
 
 
 def test_the_slots_that_rounding_leaves_over_are_refused() -> None:
