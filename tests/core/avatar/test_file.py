@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -12,17 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import safetensors.numpy
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar, without_stream
 from pica_core.avatar import file as avatar_file
-from pica_core.avatar.file import (
-    Avatar,
-    avatar_id,
-    load_avatar,
-    save_avatar,
-)
+from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
 from pica_core.avatar.linear import linear_shapes
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError, ProfileError
@@ -206,14 +198,6 @@ def test_a_quantised_tensor_without_its_scales_is_refused(toy_bytes: bytes, tabl
         load_avatar(join(header, body))
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
-def test_values_that_are_not_finite_are_refused(tmp_path: Path, value: float) -> None:
-    weight = TOY.tensors["pixel.1.weight"].copy()
-    weight[3, 3] = value
-    with pytest.raises(AvatarFileError, match=r"pixel\.1\.weight has values that are not finite"):
-        save_avatar(tmp_path / "bad.pica", with_tensor("pixel.1.weight", weight))
-
-
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
@@ -224,6 +208,10 @@ def test_values_that_are_not_finite_are_refused(tmp_path: Path, value: float) ->
         ("u_encoding", np.zeros((20, 2), np.float64), "float64; float32 is needed"),
         ("stream.mean", np.zeros(3, np.float32), r"stream\.mean is float32 \[3\]; int32"),
         ("unheard_of", np.zeros(3, np.float32), "'unheard_of' is unknown"),
+        *(
+            ("pixel.1.weight", np.full((8, 8), bad, np.float32), r"pixel\.1\.weight .* not finite")
+            for bad in (np.nan, np.inf, -np.inf, 1e30)
+        ),
         ("encoder.0.weight", np.zeros((33, 52), np.float32), r"\[160, 52\] is needed"),
     ],
 )
@@ -235,26 +223,10 @@ def test_a_tensor_that_does_not_fit_is_refused_before_it_is_written(
     assert not (tmp_path / "bad.pica").exists()
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
-@given(data=st.data())
-def test_any_damage_to_the_header_loads_or_raises_an_avatar_file_error(
-    toy_bytes: bytes, data: st.DataObject
-) -> None:
-    length = int.from_bytes(toy_bytes[:8], "little")
-    place = data.draw(st.integers(0, 8 + length - 1))
-    damage = data.draw(st.binary(min_size=1, max_size=4))
-    changed = toy_bytes[:place] + damage + toy_bytes[place + len(damage) :]
-    with contextlib.suppress(AvatarFileError):
-        load_avatar(changed)
-
-
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     path = tmp_path / "nowhere" / "a.pica"
     with pytest.raises(AvatarFileError, match=r"nowhere/a\.pica: cannot be written: No such file"):
         save_avatar(path, make_toy_avatar())
-
-
-# The tables of the latent stream
 
 
 def test_an_avatar_without_tables_is_refused_where_a_stream_begins() -> None:
