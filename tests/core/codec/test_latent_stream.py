@@ -14,6 +14,7 @@ from helpers.stream_toy import (
     toy_profile,
 )
 from pica_core.codec.latent_stream import (
+    DEFAULT_QUALITY,
     HEARTBEAT_US,
     MAX_COEFFICIENT,
     STILL_AFTER_US,
@@ -23,11 +24,20 @@ from pica_core.codec.latent_stream import (
     steps_of,
 )
 from pica_core.errors import LatentError, ShapeError
+from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.unit
 
 FRAME_US = 33_333
 NO_POSE = np.zeros((2, 3))
+
+
+def rested(face: Float64Array, num_frames: int, quality: int = DEFAULT_QUALITY) -> Publisher:
+    """An encoder that was shown one face for a while."""
+    publisher = Publisher(quality=quality)
+    for index in range(num_frames):
+        publisher.show(face, NO_POSE, index * FRAME_US)
+    return publisher
 
 
 @settings(max_examples=60)
@@ -62,21 +72,17 @@ def test_a_pose_reaches_half_a_turn_and_a_metre_at_every_quality() -> None:
 
 
 def test_a_still_face_falls_silent_with_a_heartbeat() -> None:
-    publisher, face = Publisher(), toy_faces(1, 1)[0]
-    frames = [publisher.show(face, NO_POSE, index * FRAME_US) for index in range(100)]
-    sent = [index for index, frame in enumerate(frames) if frame is not None]
+    publisher = rested(toy_faces(1, 1)[0], 100)
     still = [f for f in publisher.sent if f.decoded().is_still]
     quiet_frames = STILL_AFTER_US // FRAME_US
-    assert len(sent) < quiet_frames + 18
+    assert len(publisher.sent) < quiet_frames + 18
     assert not any(frame.number % 4 for frame in still)
     gaps = np.diff([frame.captured_us for frame in still])
     assert np.all(np.abs(gaps - HEARTBEAT_US) < 2 * FRAME_US)
 
 
 def test_a_still_frame_is_one_quality_finer() -> None:
-    publisher, face = Publisher(quality=0), toy_faces(1, 60)[20]
-    for index in range(60):
-        publisher.show(face, NO_POSE, index * FRAME_US)
+    publisher = rested(toy_faces(1, 60)[20], 60, quality=0)
     coefficients, is_still = decode_frame(toy_profile(), publisher.sent[-1].payload)
     assert is_still
     assert not np.any(coefficients % steps_of(1, toy_profile().num_components))
@@ -84,19 +90,17 @@ def test_a_still_frame_is_one_quality_finer() -> None:
 
 
 def test_a_movement_ends_the_silence_at_once_and_for_everybody() -> None:
-    publisher, faces = Publisher(), toy_faces(1, 60)
-    for index in range(60):
-        publisher.show(faces[0], NO_POSE, index * FRAME_US)
-    moved = publisher.show(faces[0] + 2.0, NO_POSE, 60 * FRAME_US)
+    face = toy_faces(1, 60)[0]
+    publisher = rested(face, 60)
+    moved = publisher.show(face + 2.0, NO_POSE, 60 * FRAME_US)
     assert moved is not None
     assert moved.number % 4 == 0
     assert not moved.decoded().is_still
 
 
 def test_a_restart_sends_a_still_face_again() -> None:
-    publisher, face = Publisher(), toy_faces(1, 1)[0]
-    for index in range(61):
-        publisher.show(face, NO_POSE, index * FRAME_US)
+    face = toy_faces(1, 1)[0]
+    publisher = rested(face, 61)
     assert publisher.show(face, NO_POSE, 61 * FRAME_US) is None
     publisher.encoder.restart()
     again = publisher.show(face, NO_POSE, 62 * FRAME_US)
