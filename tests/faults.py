@@ -15,7 +15,6 @@ import argparse
 import asyncio
 import itertools
 import json
-import re
 import signal
 import socket
 import statistics
@@ -23,7 +22,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -290,17 +288,9 @@ async def run(name: str) -> dict[str, Any]:
         over_s = time.monotonic()
         await asyncio.sleep(min(SETTLED_S + max(over_s - begin_s, 8.0), LONGEST_BACK_S))
         end_s = time.monotonic()
-        closed = await asyncio.to_thread(closed_connections, call.url)
     finally:
         seen = await asyncio.to_thread(call.stop)
-    return {"fault": name, **figures(seen, begin_s, over_s, end_s), "closed": closed}
-
-
-def closed_connections(url: str) -> dict[str, int]:
-    """How many connections a relay has closed, by code."""
-    with urllib.request.urlopen(f"{url.replace('ws', 'http', 1)}/metrics", timeout=5.0) as page:
-        found = re.findall(r'^pica_closed_total\{code="(.*)"\} (\d+)', page.read().decode(), re.M)
-    return {code: int(count) for code, count in found}
+    return {"fault": name, **figures(seen, begin_s, over_s, end_s)}
 
 
 def watch(url: str, token_file: Path | None) -> None:
