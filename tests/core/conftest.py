@@ -7,7 +7,9 @@ import pytest
 import torch
 
 from helpers.small_capture import TINY, render_capture
+from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
+from pica_core.train.data import TrainingData
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +27,12 @@ def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("captures") / "someone"
     render_capture(RenderOptions(frames=20, cameras=2, size="128x128", texture_size=64), folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def data(captured: Path) -> TrainingData:
+    """The same as training reads it."""
+    return TrainingData(Capture.open(captured))
 
 
 @pytest.fixture(scope="session")

@@ -29,11 +29,6 @@ VARIANTS_HERE = ("full", "baseline", "coarse")
 
 
 @pytest.fixture(scope="module")
-def data(captured: Path) -> TrainingData:
-    return TrainingData(Capture.open(captured))
-
-
-@pytest.fixture(scope="module")
 def runs(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Runs that were stopped before their first step: means of the capture, no motion."""
     folders: dict[str, Path] = {}

@@ -114,26 +114,16 @@ def test_corners_that_are_no_numbers_have_weights_that_are() -> None:
     assert torch.equal(weights, torch.full((1, 3), 1 / 3))
 
 
-def several_views(count: int, size: int = 24) -> list[Camera]:
-    return [
-        look_at(
-            centre_m=(0.2 * n - 0.2, 0.1, 1),
-            target_m=(0, 0, 0),
-            vertical_fov=0.5,
-            width=size,
-            height=size + 8,
-        )
-        for n in range(count)
-    ]
-
-
 def test_cameras_of_two_sizes_make_no_batch() -> None:
     with Rasteriser(FACE, 3) as rasteriser, pytest.raises(ShapeError, match="several image sizes"):
         rasteriser.triangle_ids(np.stack([TRIANGLE] * 2), [front_camera(16), front_camera(17)])
 
 
 def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() -> None:
-    cameras = several_views(2)
+    cameras = [
+        look_at(centre_m=(x, 0.1, 1), target_m=(0, 0, 0), vertical_fov=0.5, width=24, height=32)
+        for x in (-0.2, 0.0)
+    ]
     meshes = torch.from_numpy(np.stack([TRIANGLE, 1.1 * TRIANGLE])).double()
     faces = torch.from_numpy(FACE).long()
     with Rasteriser(FACE, 3) as rasteriser:

@@ -13,7 +13,6 @@ import torch
 
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, save_avatar
-from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.triangles import components
 from pica_core.errors import TrainingDivergedError, TrainingError
@@ -30,11 +29,6 @@ pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 LEARNED_FACTOR = 4.0
 """How far the held-out error must fall in the smallest preset (seen: 6, from a start that
 shows the mean texture already)."""
-
-
-@pytest.fixture(scope="module")
-def data(captured: Path) -> TrainingData:
-    return TrainingData(Capture.open(captured))
 
 
 def short(geometry: int, joint: int, driver: int) -> TrainConfig:

@@ -28,17 +28,12 @@ from pica_core.train.train import open_trainer, read_checkpoint, write_checkpoin
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 
-@pytest.fixture(scope="module")
-def data(captured: Path) -> TrainingData:
-    return TrainingData(Capture.open(captured))
-
-
 def short(geometry: int, joint: int = 0, **changes: Any) -> TrainConfig:
     steps = {"geometry_steps": geometry, "joint_steps": joint, "driver_steps": 0}
     return replace(PRESETS["tiny"], **steps, **changes)
 
 
-def rows(run: Path, kind: str) -> list[dict[str, Any]]:
+def metrics(run: Path, kind: str) -> list[dict[str, Any]]:
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     return [line for line in lines if line["kind"] == kind]
 
@@ -110,7 +105,7 @@ def test_a_capture_without_depth_switches_its_losses_off_and_says_so_once(
         trainer.run()
 
     assert set(losses) == {"image", "mesh", "kl"}
-    (note,) = rows(tmp_path / "run", "note")
+    (note,) = metrics(tmp_path / "run", "note")
     assert "no depth" in note["text"]
 
 
@@ -167,9 +162,7 @@ def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: 
     assert trainer.step == 8  # the driver phase needs expressions
     assert {row["source"] for row in rows} == {"encoder"}
     assert all(math.isfinite(row["mse"]) for row in rows)
-    text = (tmp_path / "run" / "metrics.jsonl").read_text()
-    lines = [json.loads(line) for line in text.splitlines()]
-    notes = " ".join(line["text"] for line in lines if line["kind"] == "note")
+    notes = " ".join(row["text"] for row in metrics(tmp_path / "run", "note"))
     assert "no expressions" in notes
     assert "no exact meshes" in notes
 

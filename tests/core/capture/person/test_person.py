@@ -28,24 +28,9 @@ from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.triangles import front_view
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, FloatArray
+from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.render
-
-
-class Posed:
-    """A mesh in its welded form, posed."""
-
-    def __init__(self, mesh: RigMesh) -> None:
-        features = find_features(mesh)
-        self._limits, self._guard = Limits(mesh, features), PoseGuard(mesh, features)
-        self._rest, self._motion = mesh.rest_m, mesh.motion_m
-
-    def pose(self, arkit: FloatArray) -> Float64Array:
-        """Vertices at the 52 shapes, millimetres ``[P, 3]``."""
-        points = self._rest + np.tensordot(self._limits.apply(arkit), self._motion, 1)
-        self._guard.apply(points)
-        return 1000 * points
 
 
 def ball() -> tuple[Float64Array, Float64Array]:
@@ -133,18 +118,20 @@ def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
 def test_lids_meet_in_a_blink_whatever_else_they_do() -> None:
     person = draw_person(3)
     mesh = dress(read_model().mesh(person.coefficients), person)[0]
-    posed, features = Posed(mesh), find_features(mesh)
+    features = find_features(mesh)
+    limits, guard = Limits(mesh, features), PoseGuard(mesh, features)
     edge = features.regions["lids"] & (features.eye_gap_m < LID_M)
 
     def widest_gap_mm(arkit: Float64Array) -> float:
         """Between upper and lower lid, over the middle half of both eyes."""
-        points, gaps = posed.pose(arkit), []
+        points, gaps = mesh.rest_m + np.tensordot(limits.apply(arkit), mesh.motion_m, 1), []
+        guard.apply(points)
         for eye in mesh.eyes:
             for x in np.linspace(-0.4, 0.4, 5) * eye.radius_m + eye.centre_m[0]:
                 here = edge & (np.abs(mesh.rest_m[:, 0] - x) < 0.0015)
                 upper, lower = points[here & features.above_eye], points[here & ~features.above_eye]
                 gaps.append(upper[:, 1].min() - lower[:, 1].max())
-        return float(max(gaps))
+        return 1000 * float(max(gaps))
 
     assert widest_gap_mm(blend()) > 5.0
     assert widest_gap_mm(blend(eyeBlink=0.7)) > 1.0, "a slit is seen"
