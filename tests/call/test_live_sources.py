@@ -76,39 +76,30 @@ def playing(*targets: tuple[int, Packet]) -> Iterator[None]:
         thread.join()
 
 
-def test_trackers_of_every_kind_are_in_one_call() -> None:
-    async def scenario() -> tuple[Counter[str], dict[str, float]]:
-        faces = Counter[str]()
-        sources = {kind: listen(kind) for kind in PACKETS}
-        port = sources["livelink"].port
-        avatars = LoadedAvatars({AVATAR_ID: AVATAR})
-        call = Call(avatars, on_face=lambda face: faces.update([face.name]))
-        with playing(*((sources[kind].port, packet) for kind, packet in PACKETS.items())):
-            async with Relay(RelayConfig(port=0)) as relay:
-                receiver = Receiver(LinkConfig(url=relay.url, name="me"), call)
-                receiving = asyncio.create_task(receiver.run())
-                config, senders = SenderConfig(seconds=2.0), []
-                for kind, source in sources.items():
-                    face = Publisher(config, source, AVATAR, AVATAR_ID)
-                    link = LinkConfig(url=relay.url, name=kind)
-                    senders.append(Sender(link, Outgoing(face=face)))
-                await asyncio.gather(*(sender.run() for sender in senders))
-                delays = {kind: source.face.delay_s for kind, source in sources.items()}
-                receiver.stop()
-                await receiving
-                assert all(sender.stats()["sent"] > 20 for sender in senders)
-        open_live("livelink", f"127.0.0.1:{port}").close()  # a sender that ends frees its port
-        return faces, delays
-
-    faces, delays = asyncio.run(scenario())
+@pytest.mark.asyncio
+async def test_trackers_of_every_kind_are_in_one_call() -> None:
+    faces = Counter[str]()
+    sources = {kind: listen(kind) for kind in PACKETS}
+    port = sources["livelink"].port
+    avatars = LoadedAvatars({AVATAR_ID: AVATAR})
+    call = Call(avatars, on_face=lambda face: faces.update([face.name]))
+    with playing(*((sources[kind].port, packet) for kind, packet in PACKETS.items())):
+        async with Relay(RelayConfig(port=0)) as relay:
+            receiver = Receiver(LinkConfig(url=relay.url, name="me"), call)
+            receiving = asyncio.create_task(receiver.run())
+            config, senders = SenderConfig(seconds=2.0), []
+            for kind, source in sources.items():
+                face = Publisher(config, source, AVATAR, AVATAR_ID)
+                link = LinkConfig(url=relay.url, name=kind)
+                senders.append(Sender(link, Outgoing(face=face)))
+            await asyncio.gather(*(sender.run() for sender in senders))
+            delays = {kind: source.face.delay_s for kind, source in sources.items()}
+            receiver.stop()
+            await receiving
+            assert all(sender.stats()["sent"] > 20 for sender in senders)
+    open_live("livelink", f"127.0.0.1:{port}").close()  # a sender that ends frees its port
     assert min(faces[kind] for kind in PACKETS) > 20
     assert max(delays.values()) <= 0.08
-
-
-def in_thread(target: Callable[[], None]) -> threading.Thread:
-    thread = threading.Thread(target=target)
-    thread.start()
-    return thread
 
 
 def free_port() -> int:

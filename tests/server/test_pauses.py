@@ -55,20 +55,17 @@ def relay() -> Iterator[RelayProcess]:
     process.communicate()
 
 
-def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: RelayProcess) -> None:
+@pytest.mark.asyncio
+async def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: RelayProcess) -> None:
     """So who sends feels it, and thins its own stream."""
-
-    async def call() -> int:
-        async with peer_in_room(relay.url, "Ada") as ada:
-            sock = ada.websocket.transport.get_extra_info("socket")
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 2048)
-            relay.freeze()
-            num_bytes = 0
-            with socket.socket(fileno=os.dup(sock.fileno())) as own:
-                while select.select([], [own], [], 0.5)[1]:
-                    num_bytes += own.send(bytes(50))
-                    await asyncio.sleep(0.0002)
-            ada.websocket.transport.abort()
-            return num_bytes
-
-    assert asyncio.run(call()) < 32_768
+    async with peer_in_room(relay.url, "Ada") as ada:
+        sock = ada.websocket.transport.get_extra_info("socket")
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 2048)
+        relay.freeze()
+        num_bytes = 0
+        with socket.socket(fileno=os.dup(sock.fileno())) as own:
+            while select.select([], [own], [], 0.5)[1]:
+                num_bytes += own.send(bytes(50))
+                await asyncio.sleep(0.0002)
+        ada.websocket.transport.abort()
+    assert num_bytes < 32_768

@@ -12,7 +12,6 @@ from pica_client.call.call import Call
 from pica_client.call.roster import Member, News
 from pica_client.call.status import (
     duration_text,
-    joined_names,
     notices,
     recorders,
 )
@@ -109,27 +108,15 @@ def test_who_records_is_named_oneself_too() -> None:
 
 def test_what_happened_to_several_is_one_line() -> None:
     news = [News("joined", name) for name in ("Ada", "Ben", "Cho", "Dee")]
-    news += [News("left", "Eve"), News("records", "Ada"), News("records", "Ben")]
+    news += [News("left", name) for name in ("Eve", "Fay", "Gil")]
+    news += [News("records", "Ada"), News("records", "Ben")]
     assert notices(news) == [
         ("Ada, Ben and 2 others joined", "plain"),
-        ("Eve left", "plain"),
+        ("Eve, Fay and Gil left", "plain"),
         ("Ada and Ben record the call", "alert"),
     ]
     assert notices([News("records", "Ada")]) == [("Ada records the call", "alert")]
     assert notices([]) == []
-
-
-@pytest.mark.parametrize(
-    ("names", "text"),
-    [
-        (["Ada"], "Ada"),
-        (["Ada", "Ben"], "Ada and Ben"),
-        (["Ada", "Ben", "Cho"], "Ada, Ben and Cho"),
-        (list("abcdef"), "a, b and 4 others"),
-    ],
-)
-def test_names_are_joined_as_one_reads_them_out(names: list[str], text: str) -> None:
-    assert joined_names(names) == text
 
 
 @pytest.mark.parametrize(
