@@ -17,6 +17,8 @@ from helpers.playout_trial import (
     value_of,
 )
 from pica_client.playout.buffer import CEILING_S, Playout
+from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit
 
@@ -102,6 +104,23 @@ def test_one_bad_frame_spoils_neither_buffer_nor_estimate(name: str) -> None:
         assert value_of(tick.played) == pytest.approx(true, abs=0.01)
     assert report.delay_s == pytest.approx(FRAME_S, abs=0.001)
     assert report.concealed <= 10
+
+
+def test_numbers_go_on_across_the_wrap_and_leap_where_the_sender_begins_again() -> None:
+    clock = SenderClock()
+
+    def number(sequence: int, captured_s: float, now: float) -> int:
+        captured_us = round(captured_s * 1e6)
+        frame = Frame(stream=1, sequence=sequence, captured_us=captured_us, payload=b"")
+        received = clock.receive(frame, now)
+        assert received is not None
+        return received.number
+
+    numbers = [number(n % 65536, n / 30, n / 30) for n in range(65_534, 65_540)]
+    assert numbers == list(range(65_534, 65_540))
+    again = [number(n, 77 + n / 30, 3000 + n / 30) for n in range(3)]
+    assert again == [again[0], again[0] + 1, again[0] + 2]
+    assert again[0] > 65_539 + RESTART_FRAMES
 
 
 def test_a_stream_that_begins_in_a_stall_is_no_later_than_any_other_after_it() -> None:
