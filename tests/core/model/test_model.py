@@ -9,7 +9,7 @@ from torch import nn
 from helpers.trainable import toy_prior
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.interface import ModelOptions, Surface, flat_latent, grid_of_latent
+from pica_core.model.interface import ModelOptions, Surface
 from pica_core.model.networks import ENCODERS, sample_map
 from pica_core.model.pixel_decoder import PixelDecoder
 
@@ -82,15 +82,6 @@ def test_every_weight_but_the_expression_encoders_is_in_one_group() -> None:
     }
     assert {id(p) for p in grouped} == wanted
     assert len(grouped) == len(wanted)
-
-
-def test_a_flat_latent_runs_by_row_column_and_channel() -> None:
-    flat = torch.arange(256.0)[None]
-
-    grid = grid_of_latent(flat)
-
-    assert grid[0, 3, 2, 5] == (2 * 8 + 5) * 4 + 3
-    assert torch.equal(flat_latent(grid), flat)
 
 
 def test_the_pixel_decoder_starts_near_the_mean_texture_whatever_the_seed() -> None:
