@@ -11,7 +11,7 @@ from pica_client.call.call import ArrivedFace, Call
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
 from pica_protocol.client_session import ClientSession
-from pica_protocol.messages import Peer, Track
+from pica_protocol.messages import Peer
 from pica_protocol.session import State
 
 SECRET = RoomSecret(bytes(range(32)))
@@ -54,11 +54,6 @@ class Person:
         """Peer ids whose leaving we have heard of, on this connection."""
         self.never_members: set[str] = set()
         """Peer ids of people who had gone before we heard of them."""
-
-    @property
-    def track(self) -> Track:
-        """What it publishes."""
-        return Track(kind="face", avatar=AVATARS[self.index])
 
     @property
     def is_joined(self) -> bool:

@@ -45,6 +45,7 @@ from pica_protocol.messages import (
     PeerBack,
     PeerJoined,
     PeerLeft,
+    Track,
     Whisper,
 )
 from pica_protocol.session import ClientEvent
@@ -91,7 +92,7 @@ class World:
         person.session = ClientSession(
             room=ROOM,
             name=person.name,
-            tracks=(person.track,),
+            tracks=(Track(kind="face", avatar=AVATARS[person.index]),),
             now=self.now,
             timeout_s=60.0,
             seal=person.guard.seal,

@@ -37,11 +37,8 @@ class OpenLink:
 
 def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int]]:
     """When each packet was captured, in frames, and how many it holds."""
-    link, publisher, decoder = (
-        OpenLink(),
-        VoicePublisher(SoundSource(LOUD)),
-        opus.OpusDecoder(),
-    )
+    link, publisher = OpenLink(), VoicePublisher(SoundSource(LOUD))
+    decoder = opus.OpusDecoder()
     for index in frames:
         publisher.is_muted = index >= muted_from
         publisher.send(link, LOUD, index * FRAME_US)  # type: ignore[arg-type]

@@ -151,18 +151,14 @@ def test_a_whole_body_has_the_size_of_one(tmp_path: Path) -> None:
                 read_vertices(path, 2)
 
 
-def fold_chart(root: Path) -> None:
-    """Lay the left half of the texture onto the right one."""
-    with np.load(root / "topology.npz") as arrays:
-        values = dict(arrays)
-    values["vertex_uv"] = np.abs(values["vertex_uv"] - [0.5, 0]).astype(np.float32)
-    np.savez(root / "topology.npz", **values)
+def change_chart(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    def work(root: Path) -> None:
+        with np.load(root / "topology.npz") as arrays:
+            values = dict(arrays)
+        values["vertex_uv"] = change(values["vertex_uv"]).astype(np.float32)
+        np.savez(root / "topology.npz", **values)
 
-
-def enlarge_chart(root: Path) -> None:
-    with np.load(root / "topology.npz") as arrays:
-        values = dict(arrays)
-    np.savez(root / "topology.npz", **{**values, "vertex_uv": 2 * values["vertex_uv"]})
+    return work
 
 
 def change_meshes(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
@@ -185,8 +181,8 @@ def pierce_depth(root: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "problem"),
     [
-        (fold_chart, "of the texture's islands lie on each other"),
-        (enlarge_chart, "of the triangles leave the square of the texture"),
+        (change_chart(lambda uv: np.abs(uv - [0.5, 0])), "islands lie on each other"),
+        (change_chart(lambda uv: 2 * uv), "of the triangles leave the square of the texture"),
         (change_meshes(lambda meshes: meshes[[0] * len(meshes)]), "jawOpen moves nothing"),
         (change_meshes(lambda meshes: meshes * [-1, 1, -1]), "mouth of .* hidden; does the head"),
         (pierce_depth, "mouth of .* from camera front: .* of it is empty"),
