@@ -84,7 +84,7 @@ def relay_url() -> Iterator[str]:
         yield url
 
 
-OPTIONS = ViewOptions(join=JoinOptions(wait=True), size="640x360", seconds=0.4, layout="grid")
+OPTIONS = ViewOptions(size="640x360", seconds=0.4, layout="grid")
 HEADLESS = replace(OPTIONS, headless=True)
 
 
@@ -157,7 +157,9 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
             time.sleep(0.01)
         view_calls(recording, state_at(relay_url), library)
         news: list[tuple[str, str]] = []
+        deadline_s = time.monotonic() + 20
         while ("left", "guest") not in news:
+            assert time.monotonic() < deadline_s, news
             news += [(each.kind, each.name) for each in call.room(time.monotonic()).news]
             time.sleep(0.01)
     assert ("records", "guest") in news
