@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.render, pytest.mark.skipif(available() is not None, re
 def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_face():
     library = AvatarLibrary()
     avatar = library.load(library.find("Amara"))
-    config = BenchVoiceConfig(scenarios=("jitter-0", "stall-300"), seconds=9)
+    config = BenchVoiceConfig(scenarios=("jitter-0", "stall-300"), seconds=12)
     clean, stalled = run_bench_voice(config, avatar)["rows"]
 
     assert clean["pesq"] >= 3.4
