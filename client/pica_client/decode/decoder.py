@@ -63,14 +63,15 @@ class OnnxDecoder:
             session = self._sessions[size, parts] = open_session(graph, self._threads)
         return session
 
-    def prepare_next(self) -> None:
-        """Get ready for one more kind of decode, if there is one, the finest first."""
+    def prepare_next(self) -> bool:
+        """Get ready for one more kind of decode, the finest first; return whether there was one."""
         kinds: list[tuple[int, Parts]] = [
             (level, parts) for level in reversed(self._avatar.levels) for parts in get_args(Parts)
         ]
         missing = [kind for kind in kinds if kind not in self._sessions]
         if missing:
             self.prepare(*missing[0])
+        return bool(missing)
 
     def decode(
         self,

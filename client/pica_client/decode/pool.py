@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pica_client.decode.decoder import OnnxDecoder
@@ -40,6 +41,8 @@ class _Slot:
     avatar: Avatar
     decoder: OnnxDecoder | None = None
     is_broken: bool = False
+    is_ready: bool = False
+    """Whether its decoder is ready for all levels."""
     is_busy: bool = False
     """Whether it has a turn, or waits for it."""
     request: DecodeRequest | None = None
@@ -144,14 +147,35 @@ class DecodePool(Closing):
             results = [DecodeResult(entry.name, None, " ".join(str(error).split())[:300])]
         with self._changed:
             entry.results += results
-            entry.is_busy = False
-            is_there = self._slots.get(entry.name) is entry and not entry.is_broken
-            if entry.request is not None and is_there:
-                self._line_up(entry)
-            is_free = is_there and self._is_idle()
-            self._changed.notify_all()
-        if is_free and entry.decoder is not None:
-            entry.decoder.prepare_next()  # what fails here fails again when it is asked for
+            self._end_turn(entry)
+        self._prepare_ahead()
+
+    def _end_turn(self, entry: _Slot) -> None:
+        """Line a slot up again if it was asked for meanwhile; under the lock."""
+        entry.is_busy = False
+        is_there = self._slots.get(entry.name) is entry and not entry.is_broken
+        if entry.request is not None and is_there:
+            self._line_up(entry)
+        self._changed.notify_all()
+
+    def _prepare_ahead(self) -> None:
+        """Let decoders get ready for further levels until one is asked for a decode."""
+        while (entry := self._next_unready()) is not None:
+            is_ready = True
+            with suppress(Exception):  # what fails here fails again when it is asked for
+                is_ready = entry.decoder is None or not entry.decoder.prepare_next()
+            with self._changed:
+                entry.is_ready = is_ready
+                self._end_turn(entry)
+
+    def _next_unready(self) -> _Slot | None:
+        """A slot that is not ready for all levels, and busy from now on; None while one waits."""
+        with self._changed:
+            for entry in self._slots.values() if self._is_idle() else ():
+                if not (entry.is_ready or entry.is_broken or entry.decoder is None):
+                    entry.is_busy = True
+                    return entry
+        return None
 
     def _decode(
         self, entry: _Slot, decoder: OnnxDecoder, request: DecodeRequest, submitted_s: float

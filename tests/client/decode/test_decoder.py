@@ -46,8 +46,9 @@ class Echo:
     def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
         """It needs nothing."""
 
-    def prepare_next(self) -> None:
+    def prepare_next(self) -> bool:
         self.num_ahead += 1
+        return self.num_ahead < 3
 
     def decode(
         self, latent: np.ndarray, view_direction: np.ndarray, level: int | None, parts: Parts
@@ -104,8 +105,8 @@ def test_a_decoder_gets_ready_for_every_level_the_finest_first(
     monkeypatch.setattr(decoder, "open_session", lambda graph, _: opened.append(graph) or graph)
     monkeypatch.setattr(decoder, "decoder_graph", lambda _, level, positions: (level, positions))
     made = OnnxDecoder(LEVELLED)
-    for _ in range(2 * len(LEVELS)):
-        made.prepare_next()
+    while made.prepare_next():
+        pass
     assert opened == [(level, both) for level in LEVELS[::-1] for both in (True, False)]
 
 
@@ -147,19 +148,22 @@ def test_results_that_nobody_has_taken_yet_come_once_and_in_order() -> None:
         assert pool.take_results() == []
 
 
-def test_a_worker_gets_ready_for_more_once_nobody_waits() -> None:
+def test_workers_get_ready_for_all_levels_while_nobody_waits() -> None:
     gate, echo = Gate(), Echo()
     decoders = iter([gate, echo])
     with DecodePool(lambda avatar: next(decoders)) as pool:
         pool.add("first", TOY)
         pool.submit("first", request(1))
         assert gate.entered.wait(PATIENCE_S)
-        before = gate.num_ahead
         pool.add("a", TOY)
         pool.submit("a", request(2))
+        assert echo.num_ahead == 0
         gate.opened.set()
         assert pool.wait_idle(PATIENCE_S)
-    assert (gate.num_ahead, echo.num_ahead) == (before, 1)
+        assert (gate.num_ahead, echo.num_ahead) == (3, 3)
+        pool.submit("a", request(3))
+        assert pool.wait_idle(PATIENCE_S)
+    assert (gate.num_ahead, echo.num_ahead) == (3, 3)
 
 
 def test_building_a_session_does_not_count_as_decoding() -> None:
