@@ -1,5 +1,5 @@
-"""A command whose output nobody reads any more, as after ``| head``, or for which there is no room,
-ends without a traceback."""
+"""A command whose output has no reader any more, as after ``| head``, or for which there is no
+room, ends without a traceback."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def datagram(data: bytes) -> None:
 
 
 def rig(data: bytes) -> None:
-    """Read a rig of somebody else's, and make it a head where it is one."""
+    """Read the rig of a stranger, and make it a head where it is one."""
     with tempfile.TemporaryDirectory() as folder, suppress(CaptureError):
         path = Path(folder, "rig.glb")
         path.write_bytes(data)

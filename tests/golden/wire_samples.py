@@ -1,6 +1,6 @@
 """One sample of everything that travels; the golden bytes in ``wire.json`` are made of these.
 
-``python tests/golden/wire_samples.py`` writes the file anew, but for what a decoder must refuse,
+``python tests/golden/wire_samples.py`` writes the file again, but for what a decoder must refuse,
 which stands in it alone.
 """
 

@@ -186,7 +186,7 @@ class Foe:
         return self.rng.choice([*self.newest.session.peers, "p1", "p2", "p3"])
 
     def show(self, streams: Sequence[int], payload: bytes, now: float) -> None:
-        """Send a frame on each of some streams, whoever they belong to, in one message."""
+        """Send a frame on each of some streams, also those of others, in one message."""
         frames = []
         for stream in streams:
             is_now = self.rng.random() < 0.5
