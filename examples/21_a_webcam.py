@@ -14,18 +14,18 @@ import sys
 import numpy as np
 from PIL import Image
 
-from pica_client.errors import SourceError
 from pica_client.sources.live_face import rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.networks import Region, load_networks
 from pica_client.sources.webcam import FaceFinder
 from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_core.errors import FaceNetworksError
+from pica_core.face_networks import Region, load_networks
 
 
 def find(path: str) -> None:
     """Say what the networks see in a picture."""
     try:
         networks = load_networks()
-    except SourceError as error:
+    except FaceNetworksError as error:
         print(error)
         return
     finder = FaceFinder(networks)

