@@ -1,0 +1,70 @@
+"""The page decodes the golden streams as Python does, and writes what Python reads."""
+
+import json
+
+import numpy as np
+import pytest
+
+from golden.stream_vectors import GOLDEN, LATENT_UNIT, read_profile, units_hash
+from helpers.page import Handle, Page, PageError
+from pica_core.codec.latent_stream import LatentEncoder
+from pica_core.codec.profile import NUM_TABLES, coefficient_frequencies
+
+pytestmark = pytest.mark.unit
+
+VECTORS = json.loads(GOLDEN.read_text())
+DTYPES = {"int16": "I16", "int32": "I32", "uint8": "U8"}
+
+
+@pytest.fixture(scope="module")
+def profile(page: Page) -> Handle:
+    tensors = {
+        f"stream.{name}": {
+            "dtype": DTYPES[each["type"]],
+            "shape": each["shape"],
+            "data": each["values"],
+        }
+        for name, each in VECTORS["profile"].items()
+    }
+    return page.call("latent_stream", "StreamProfile", {"map": tensors})
+
+
+def test_the_golden_streams_are_decoded(page: Page, profile: Handle) -> None:
+    for frames in VECTORS["streams"].values():
+        for frame in frames:
+            payload = bytes.fromhex(frame["payload"])
+            found = page.call("latent_stream", "decodeFrame", profile, payload)
+            assert found["coefficients"] == frame["coefficients"]
+            assert found["isStill"] == frame["is_still"]
+            face = page.call("latent_stream", "decodeFace", profile, payload)
+            units = np.array(face["latent"]) / LATENT_UNIT
+            assert units_hash(units.astype(np.int64)) == frame["latent_sha256"]
+
+
+def test_damaged_payloads_are_read_or_refused_alike(page: Page, profile: Handle) -> None:
+    for each in VECTORS["damaged"]:
+        try:
+            payload = bytes.fromhex(each["payload"])
+            found = page.call("latent_stream", "decodeFrame", profile, payload)["coefficients"]
+        except PageError:
+            found = None
+        assert found == each["coefficients"]
+
+
+def test_all_tables_are_those_of_python(page: Page) -> None:
+    call = page.call
+    found = [call("latent_stream", "coefficientTable", n).frequencies() for n in range(NUM_TABLES)]
+    assert found == coefficient_frequencies().tolist()
+
+
+def test_faces_are_written_as_python_writes_them(page: Page, profile: Handle) -> None:
+    encoder = LatentEncoder(read_profile(VECTORS))
+    rng = np.random.default_rng(3)
+    for scale in (0.0, 0.3, 3.0, 200.0):
+        latent = (scale * rng.standard_normal((8, 8, 4))).astype(np.float32)
+        rotation, translation = (scale * rng.standard_normal((2, 3))).astype(np.float32)
+        encoder.restart()
+        expected = encoder.encode(latent, rotation, translation, 0)
+        face = {"latent": latent, "rotation": rotation, "translation": translation}
+        assert expected is not None
+        assert page.call("latent_stream", "encodeFace", profile, face) == expected.payload

@@ -1,0 +1,36 @@
+"""The page's modules are typed by JSDoc, and small."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from helpers.paths import ROOT
+
+pytestmark = pytest.mark.unit
+
+HERE = Path(__file__).parent
+WEB = ROOT / "server" / "pica_server" / "web"
+TSC = HERE / "node_modules" / ".bin" / "tsc"
+MAX_LINES, MAX_BYTES = 3200, 150_000
+
+
+def test_modules_are_typed() -> None:
+    npm = shutil.which("npm")
+    if npm is None:
+        pytest.skip("npm is not installed")
+    if not TSC.exists():
+        install = [npm, "install", "--no-package-lock", "--no-audit", "--no-fund", "--silent"]
+        if subprocess.run(install, cwd=HERE, check=False, timeout=60).returncode:
+            pytest.skip("npm cannot install the TypeScript compiler here")
+    found = subprocess.run(
+        [TSC, "--project", HERE], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert not found.returncode, found.stdout
+
+
+def test_the_page_is_small() -> None:
+    files = [each.read_text() for each in WEB.iterdir()]
+    assert sum(text.count("\n") for text in files) <= MAX_LINES
+    assert sum(len(text.encode()) for text in files) <= MAX_BYTES
