@@ -65,6 +65,14 @@ class Camera:
         image = seen @ self.intrinsics.T
         return image[..., :2] / image[..., 2:], seen[..., 2]
 
+    def lift(self, pixels: npt.ArrayLike, depth_m: npt.ArrayLike) -> Float64Array:
+        """World points that pixels ``[..., 2]`` show at depths ``[...]``, metres. ``[..., 3]``."""
+        depth = np.asarray(depth_m, np.float64)[..., None]
+        image = np.concatenate([np.asarray(pixels, np.float64), np.ones_like(depth)], -1)
+        seen = image @ np.linalg.inv(self.intrinsics).T * depth
+        points: Float64Array = (seen - self.translation_m) @ self.rotation
+        return points
+
     def clip_from_world(self, near_m: float = 0.02, far_m: float = 20.0) -> FloatArray:
         """The matrix from world metres to GL clip space, for columns. float32 ``[4, 4]``.
 

@@ -1,0 +1,47 @@
+"""The face model as a thing to be fitted."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.me.face import Surface, fit_face, landmark_places
+from pica_core.capture.person.choices import NUM_MODES, read_model
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.mark.parametrize(("seed", "size"), [(0, 1.0), (1, 1000.0), (2, 0.02)])
+def test_a_face_is_found_in_its_landmarks_in_any_frame(seed: int, size: float) -> None:
+    random = np.random.default_rng(seed)
+    places = landmark_places()
+    coefficients = random.normal(0, 0.8, NUM_MODES)
+    shapes = np.zeros(NUM_ARKIT)
+    shapes[ARKIT_INDEX["jawOpen"]] = 0.3
+    turn = Rotation.random(random_state=seed).as_matrix()
+    truth = places.at(coefficients, shapes)
+    measured = size * truth @ turn.T + random.normal(size=3)
+    face = fit_face(places, measured, np.ones(len(truth)))
+    assert np.median(face.residual_m) < 0.0006
+    np.testing.assert_allclose(face.pose.undo(face.pose.apply(truth)), truth, atol=1e-9)
+    assert face.shapes[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.3, abs=0.15)
+
+
+def test_landmarks_lie_where_their_names_say() -> None:
+    places = landmark_places().mean_m
+    right_corner, left_corner, tip, chin = places[[33, 263, 4, 152]]
+    assert right_corner[0] < -0.03 < 0.03 < left_corner[0]
+    assert tip[2] > places[:, 2].max() - 0.004
+    assert chin[1] < places[:, 1].min() + 0.01
+
+
+def test_the_nearest_place_of_a_surface_is_no_farther_than_any_corner() -> None:
+    mean = read_model(coarse=True).mean
+    surface = Surface(mean.rest_m, mean.faces)
+    points = mean.rest_m[::50] + np.random.default_rng(0).normal(0, 0.005, (93, 3))
+    faces, weights, apart = surface.nearest(points)
+    there = np.einsum("nk,nkc->nc", weights, mean.rest_m[mean.faces[faces]])
+    np.testing.assert_allclose(np.linalg.norm(there - points, axis=1), apart, atol=1e-12)
+    corners = np.linalg.norm(mean.rest_m[None] - points[:, None], axis=2).min(1)
+    assert (apart <= corners + 1e-9).all()
+    np.testing.assert_allclose(weights.sum(1), 1, atol=1e-9)
