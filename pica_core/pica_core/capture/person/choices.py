@@ -63,7 +63,11 @@ class FaceModel:
     def mesh(self, coefficients: npt.ArrayLike) -> RigMesh:
         """The bare head of one identity ``[100]``; its shapes move it as they move the mean."""
         offset = np.tensordot(np.asarray(coefficients, np.float32), self.modes_m, 1)
-        rest = self.mean.rest_m + offset
+        return self.shaped(self.mean.rest_m + offset)
+
+    def shaped(self, rest: Float64Array) -> RigMesh:
+        """The bare head with its vertices at these places ``[P, 3]``, moved so that its eyes lie
+        where eyes of our heads do."""
         spheres = [fit_sphere(rest[eye.vertices]) for eye in self.mean.eyes]
         move = EYES_AT_M - np.mean([centre for centre, _, _ in spheres], axis=0)
         eyes = [

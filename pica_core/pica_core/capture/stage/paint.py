@@ -261,6 +261,7 @@ PAINT: dict[str, Any] = {
     "stubble": 0.3,
     "brows": 1.0,
     "tooth_white": 0.5,
+    "over_paint": 0.0,
 }
 """Linear colours and marks of the synthetic skin (chosen)."""
 CORNER = {

@@ -15,6 +15,7 @@ const int material_id = MATERIAL;   // a program each: software GL runs every br
 layout(location = 0) out vec4 colour_out;
 layout(location = 1) out vec4 relief_out;
 uniform float has_albedo;
+uniform float over_paint;     // 1: the image lies over what is painted, as opaque as its alpha says
 uniform sampler2D albedo;
 uniform float seed;
 uniform vec3 skin_rgb;
@@ -250,7 +251,10 @@ void main() {
         height = hairs;
         third = 0.5 * fine + 0.5 * thin;
     }
-    if (has_albedo > 0.5) rgb = pow(texture(albedo, albedo_uv).rgb, vec3(2.2)) * tinted;
+    if (has_albedo > 0.5) {
+        vec4 image = texture(albedo, albedo_uv);
+        rgb = mix(rgb, pow(image.rgb, vec3(2.2)) * tinted, mix(1.0, image.a, over_paint));
+    }
     colour_out = vec4(sqrt(clamp(rgb, 0.0, 1.0)), gloss);
     relief_out = vec4(height, translucent, third, 1.0);
 }

@@ -1,0 +1,143 @@
+"""A fitted head of a real person: what a scan, photos or a video come to, and what is captured.
+
+    fit (scan, photos) -> `OwnHead` -> `OwnSubject` -> capture -> train -> export
+
+The chain behind `OwnHead` is that of all people (`person.subject`): lids and lips closed, hair and
+clothes added, eyes, teeth and tongue painted. Skin wears the texture that the fit made, on the
+model's own chart (`chart_uv`), over painted skin of the same tone: the texture's
+alpha says how well each texel was seen, and what nobody saw is painted in the colours of `look`.
+"""
+
+import io
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_core.capture.dataset.files import read_arrays, write_archive
+from pica_core.capture.dataset.multiface import MATERIALS
+from pica_core.capture.person.choices import RIGHTS, FaceModel, Person, read_model
+from pica_core.capture.person.subject import dress, paint
+from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.names import map_names
+from pica_core.capture.stage.paint import Growth
+from pica_core.capture.stage.subject import BAKE_SIZE, Subject
+from pica_core.errors import CaptureError
+from pica_core.types import ByteArray, Float64Array
+
+TEXTURE_SIZE = 1024
+"""Side of a fitted head's texture, texels: 0.3 mm on the face (chosen)."""
+CHART_MIDDLE, CHART_SPAN = np.array([0.0, 0.0525]), 0.7
+"""Where the skin's islands lie on the chart of the model, and how wide."""
+FILE = "me.npz"
+"""A fitted head, in the folder of its making."""
+
+
+def chart_uv(model: FaceModel) -> Float64Array:
+    """Texture coordinates of the model, so that its skin fills the texture; v downwards. ``[T, 2]``
+    for ``model.mean.uv_faces``. Other parts lie outside or elsewhere, and have no texture."""
+    return (model.mean.uv - CHART_MIDDLE) / CHART_SPAN + 0.5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OwnHead:
+    """A fitted head.
+
+    Attributes:
+        rest_m: Vertices of the full face model (`read_model`), head frame, metres. ``[P, 3]``.
+        texture: Skin on the model's chart, sRGB and how well each texel was seen, row 0 is v = 0.
+            uint8 ``[S, S, 4]``.
+        person: Hair, clothes, and choices for what nothing shows.
+        look: Linear colours that were found, by the names of `stage.paint.PAINT` (``skin_rgb``,
+            ``hair_rgb``, ``brow_rgb``, ``lip_rgb``, ``iris_rgb``); they go before the person's.
+        source: ``scan``, ``photos`` or ``video``.
+        guessed: What was not seen and is proposed, in words.
+    """
+
+    rest_m: Float64Array
+    texture: ByteArray
+    person: Person
+    look: dict[str, tuple[float, ...]]
+    source: str
+    guessed: tuple[str, ...] = field(default=())
+
+    def write(self, path: Path) -> None:
+        """Write it, as `read_head` reads it.
+
+        Raises:
+            CaptureError: The file cannot be written.
+        """
+        told = {
+            "person": asdict(self.person), "look": self.look, "source": self.source,
+            "guessed": self.guessed,
+        }  # fmt: skip
+        stored = io.BytesIO()
+        Image.fromarray(self.texture).save(stored, "PNG")
+        write_archive(
+            path,
+            rest_m=self.rest_m,
+            texture=np.frombuffer(stored.getvalue(), np.uint8),
+            told=np.frombuffer(json.dumps(told).encode(), np.uint8),
+        )
+
+
+def read_head(path: Path) -> OwnHead:
+    """Read a fitted head.
+
+    Raises:
+        CaptureError: It is none.
+    """
+    found = read_arrays(path)
+    try:
+        told = json.loads(found["told"].tobytes())
+        person = told["person"]
+        return OwnHead(
+            rest_m=found["rest_m"].astype(np.float64),
+            texture=np.asarray(Image.open(io.BytesIO(found["texture"].tobytes()))),
+            person=Person(**person | {"coefficients": tuple(person["coefficients"])}),
+            look={name: tuple(value) for name, value in told["look"].items()},
+            source=str(told["source"]),
+            guessed=tuple(told["guessed"]),
+        )
+    except (KeyError, ValueError, TypeError, OSError) as error:
+        raise CaptureError(f"{path}: not a fitted head ({error})") from error
+
+
+class OwnSubject(Subject):
+    """A fitted head on the stage."""
+
+    def __init__(
+        self, own: OwnHead, *, bake_size: int = BAKE_SIZE, self_shadow: bool = True
+    ) -> None:
+        head, growth = own_rig(own)
+        super().__init__(
+            head,
+            {
+                "source": f"made from {SOURCES[own.source]} of the person, who has agreed",
+                "licence": f"the person's own; face model: {RIGHTS}",
+                "guessed": list(own.guessed),
+            },
+            albedo={0: own.texture},
+            look=paint(own.person) | own.look | {"over_paint": 1.0},
+            growth=growth,
+            bake_size=bake_size,
+            self_shadow=self_shadow,
+        )
+
+
+SOURCES = {"scan": "a scan", "photos": "photos", "video": "a video"}
+
+
+def own_rig(own: OwnHead) -> tuple[RigHead, Growth]:
+    """The posable head, dressed, and its hair; seconds of work."""
+    bare = read_model().shaped(own.rest_m)
+    skin = bare.part == MATERIALS.index("skin")
+    dressed, growth = dress(
+        replace(bare, material=np.where(skin, 0, -1).astype(np.int32)), own.person
+    )
+    moved = np.abs(dressed.motion_m).max((1, 2)) > 0
+    names = map_names([name for name, moves in zip(ARKIT_NAMES, moved, strict=True) if moves])
+    return RigHead(dressed, names, "me"), growth
