@@ -1,0 +1,99 @@
+"""Pages in a headless Chromium, served to it from here, that post what they find."""
+
+import json
+import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import pytest
+
+from helpers.paths import ROOT
+from pica_server.web import shader_texts
+
+WEB = ROOT / "server" / "pica_server" / "web"
+PAGES = ROOT / "tests" / "web" / "pages"
+FLAGS = (
+    "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "
+    "--ignore-gpu-blocklist --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --disable-dev-shm-usage --disable-extensions"
+)
+TYPES = {".js": "text/javascript", ".html": "text/html", ".css": "text/css", ".json": "text/json"}
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: "_Server"
+
+    def do_GET(self) -> None:
+        name = self.path.split("?")[0].lstrip("/")
+        content = self.server.files.get(name)
+        if content is None:
+            path = next((each / name for each in (PAGES, WEB) if (each / name).is_file()), None)
+            content = None if path is None else path.read_bytes()
+        self.send_response(404 if content is None else 200)
+        self.send_header("Content-Type", TYPES.get(Path(name).suffix, "application/octet-stream"))
+        self.end_headers()
+        self.wfile.write(content or b"")
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        self.server.posted.put((self.path, body))
+        self.send_response(200)
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.files = files
+        self.posted: Queue[tuple[str, bytes]] = Queue()
+
+
+def run_page(
+    page: str, files: Mapping[str, bytes], *, timeout_s: float = 60.0, flags: tuple[str, ...] = ()
+) -> tuple[dict[str, bytes], Any]:
+    """Open a page of `PAGES` until it posts ``/done`` with JSON.
+
+    Args:
+        files: What is served beside the page's own folder and the modules, by name.
+
+    Returns:
+        What else it posted, by path, and what it found.
+    """
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed")
+    server = _Server({"shaders.json": json.dumps(shader_texts()).encode(), **files})
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    posted: dict[str, bytes] = {}
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:
+        url = f"http://127.0.0.1:{server.server_port}/{page}"
+        process = subprocess.Popen(
+            [chromium, *FLAGS.split(), f"--user-data-dir={home}", *flags, url],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            while True:
+                path, body = server.posted.get(timeout=timeout_s)
+                if path == "/done":
+                    found = json.loads(body)
+                    assert "error" not in found, found["error"]
+                    return posted, found
+                posted[path] = body
+        finally:
+            process.terminate()
+            process.wait(10)
+            server.shutdown()
+            server.server_close()
+            thread.join()
