@@ -123,8 +123,10 @@ class RelayConfig:
     X-Forwarded-For is used for the limits of one address, and for nothing else; and they may ask a
     relay that listens on this machine alone by any name."""
     origins: tuple[str, ...] = ()
-    """Web pages that may connect, as https://HOST: a browser says where a page comes from. Programs
-    say nothing, and may."""
+    """Web pages that may connect, as https://HOST, besides the relay's own: a browser says where a
+    page comes from. Programs say nothing, and may."""
+    web: bool = True
+    """Whether browsers are shown a page that joins rooms, at / and at the name of each room."""
     metrics_to: tuple[str, ...] = ()
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8;
     0.0.0.0/0 is all."""

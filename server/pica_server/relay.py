@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
-from websockets.typing import Origin, Subprotocol
+from websockets.typing import Subprotocol
 
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
@@ -33,6 +33,7 @@ from pica_server.status_pages import StatusPages
 from pica_server.store.store import AvatarStore
 from pica_server.store.transfers import Downloads, Uploads
 from pica_server.tokens import Keys, admin_scope, admit, admit_upload, load_keys
+from pica_server.web_page import WebPage, page_files
 
 if TYPE_CHECKING:
     from pica_server.placement.placement import RoomPlacement
@@ -134,6 +135,7 @@ class Relay:
             None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
         )
         self._pages = StatusPages(self.hub, config, self.store, admin_room)
+        self._web_page = WebPage(page_files()) if config.web else None
         self._watching: asyncio.TimerHandle | None = None
         self._keeping: list[asyncio.Task[None]] = []
 
@@ -163,8 +165,6 @@ class Relay:
                 **_address(config),
                 create_connection=self._guarded_connection,  # type: ignore[arg-type]
                 process_request=self._answer,
-                # Without an allow-list any web page could join from the browser of a person nearby.
-                origins=[None, *map(Origin, config.origins)],
                 subprotocols=[Subprotocol(SUBPROTOCOL), Subprotocol(STORE_SUBPROTOCOL)],
                 select_subprotocol=_select_subprotocol,
                 compression=None,
@@ -241,6 +241,12 @@ class Relay:
         if self._is_private and websocket.is_misnamed and "Upgrade" not in request.headers:
             text = "this relay is for its own machine: ask for 127.0.0.1 or localhost\n"
             return websocket.respond(HTTPStatus.FORBIDDEN, text)
+        host = "".join(request.headers.get_all("Host"))
+        if "Upgrade" in request.headers:
+            if self._may_connect(websocket, request, host):
+                return None
+            text = "pages of this origin may not connect; --origins lists those that may\n"
+            return websocket.respond(HTTPStatus.FORBIDDEN, text)
         if request.path.startswith(AVATARS_PATH):
             return self._downloads.answer(websocket, request)
         page = self._pages.answer(
@@ -249,6 +255,8 @@ class Relay:
             is_local=is_local,
             now=self._now(),
         )
+        if page is None and self._web_page is not None:
+            page = self._web_page.answer(request.path, host)
         if page is None:
             return None
         response = websocket.respond(page.status, page.text)
@@ -258,6 +266,16 @@ class Relay:
         if request.method == "HEAD":
             response.body = b""
         return response
+
+    def _may_connect(self, websocket: RelaySocket, request: Request, host: str) -> bool:
+        """Return True unless a web page of another origin asks: it could join any room from the
+        browser of a person nearby."""
+        origins = request.headers.get_all("Origin")
+        if not origins or set(origins) <= set(self.config.origins):
+            return True
+        # DNS rebinding: another site's name may point to this machine.
+        is_own = self._web_page is not None and not (self._is_private and websocket.is_misnamed)
+        return is_own and len(origins) == 1 and origins[0].partition("://")[2] == host
 
     async def drain(self) -> None:
         """Send everybody away in good order, and return when they are gone.

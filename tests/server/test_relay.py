@@ -166,6 +166,26 @@ async def test_a_web_page_may_connect_only_if_it_is_on_the_list(listed: tuple[st
             pass
 
 
+@pytest.mark.parametrize(
+    ("config", "is_let_in"),
+    [
+        (RelayConfig(host="0.0.0.0", insecure=True), True),
+        (RelayConfig(host="0.0.0.0", insecure=True, web=False), False),
+        (RelayConfig(), False),  # the name was made to point to this machine
+    ],
+)
+@in_virtual_time
+async def test_the_relays_own_page_may_connect(config: RelayConfig, is_let_in: bool) -> None:
+    async with Relay(config):
+        opening = connect(URL, origin=Origin("https://relay:8765"), proxy=None, subprotocols=PICA)
+        if is_let_in:
+            async with opening:
+                pass
+        else:
+            with pytest.raises(InvalidStatus, match="403"):
+                await opening
+
+
 @pytest.mark.parametrize(("busy_ratio", "num_messages"), [(0.6, 8), (1.0, 1)])
 @in_virtual_time
 async def test_frames_wait_for_others_while_the_core_is_busy_and_not_otherwise(
