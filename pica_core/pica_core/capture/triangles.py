@@ -135,7 +135,7 @@ class FrontView:
         return np.where(inside, self.depth_m[cell[:, 1], cell[:, 0]], -np.inf)
 
 
-def _samples(
+def samples(
     points: Float64Array, faces: IntArray, spacing: float
 ) -> tuple[Int64Array, Float64Array]:
     """Points spread evenly over triangles: face ``[n]`` and barycentric weights ``[n, 3]``.
@@ -157,7 +157,7 @@ def front_view(points: Float64Array, faces: IntArray) -> FrontView:
     """Draw the mesh from straight ahead, orthographically, in cells of `FRONT_CELL_M`."""
     # Coarse triangles need samples by area, hidden ones none: what faces away is left out.
     ahead = np.flatnonzero(face_normals(points, faces)[:, 2] > 0)
-    which, weights = _samples(points, faces[ahead], FRONT_CELL_M / 1.6)
+    which, weights = samples(points, faces[ahead], FRONT_CELL_M / 1.6)
     at = np.einsum("nk,nkc->nc", weights, points[faces[ahead[which]]])
     origin = points[:, :2].min(0) - FRONT_CELL_M
     size = np.ceil((points[:, :2].max(0) - origin) / FRONT_CELL_M).astype(np.int64) + 1
@@ -187,7 +187,7 @@ def visibility(poses: list[Float64Array], faces: IntArray) -> Float64Array:
     """
     best = np.zeros(len(faces))
     spacing = CELL_M / np.sqrt(SAMPLES_PER_CELL)
-    which, weights = _samples(poses[0], faces, spacing)
+    which, weights = samples(poses[0], faces, spacing)
     for points in poses:
         corner = points[faces]
         normal = face_normals(points, faces)

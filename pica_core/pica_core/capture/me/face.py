@@ -63,15 +63,19 @@ class Similarity:
         return (points - self.translation) @ self.rotation / self.scale
 
 
-def align(points_m: Float64Array, others: Float64Array, weights: Float64Array) -> Similarity:
-    """The similarity that brings points ``[N, 3]`` nearest to others, weighted (Umeyama 1991)."""
+def align(
+    points_m: Float64Array, others: Float64Array, weights: Float64Array, scale: float | None = None
+) -> Similarity:
+    """The similarity that brings points ``[N, 3]`` nearest to others, weighted (Umeyama 1991); of
+    this scale, if it is given."""
     share = (weights / weights.sum())[:, None]
     one, two = (share * points_m).sum(0), (share * others).sum(0)
     a, b = points_m - one, others - two
     u, size, v = np.linalg.svd((share * b).T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
     rotation = u * sign @ v
-    scale = float((size * sign).sum() / (share * a * a).sum())
+    if scale is None:
+        scale = float((size * sign).sum() / (share * a * a).sum())
     return Similarity(scale=scale, rotation=rotation, translation=two - scale * rotation @ one)
 
 
@@ -153,7 +157,12 @@ class Face:
 
 
 def fit_face(
-    places: Places, measured: Float64Array, weights: Float64Array, *, with_shapes: bool = True
+    places: Places,
+    measured: Float64Array,
+    weights: Float64Array,
+    *,
+    with_shapes: bool = True,
+    scale: float | None = None,
 ) -> Face:
     """Fit pose, size, identity and shapes to measured places.
 
@@ -161,6 +170,7 @@ def fit_face(
         measured: In any frame and unit. ``[N, 3]``.
         weights: How much each counts beside its noise, 0: not at all. ``[N]``.
         with_shapes: False holds the face at rest.
+        scale: Units per metre, where they are known; found if not.
     """
     coefficients, shapes = np.zeros(NUM_MODES), np.zeros(NUM_ARKIT)
     count = NUM_MODES + NUM_ARKIT * with_shapes
@@ -169,10 +179,12 @@ def fit_face(
         basis = np.concatenate([basis, places.shapes_m])
     prior = np.full(count + 7, 1.0)
     prior[NUM_MODES:count], prior[count:] = 1 / SHAPE_SIGMA, 1e-3
+    if scale is not None:
+        prior[-1] = 1e6
     robust, columns = weights.copy(), basis.reshape(count, -1).T
     for turn in range(ROUNDS):
         here = places.at(coefficients, shapes)
-        pose = align(here, measured, robust / places.noise_m**2)
+        pose = align(here, measured, robust / places.noise_m**2, scale)
         target = pose.undo(measured)
         if turn >= ALL_COUNT:  # from here on far places count less (Geman and McClure's weight)
             apart = np.linalg.norm(target - here, axis=1)
@@ -186,7 +198,7 @@ def fit_face(
         if with_shapes:
             shapes[:] = np.clip(solved[NUM_MODES:count], 0.0, 1.0)
     here = places.at(coefficients, shapes)
-    pose = align(here, measured, robust / places.noise_m**2)
+    pose = align(here, measured, robust / places.noise_m**2, scale)
     residual = np.linalg.norm(pose.undo(measured) - here, axis=1)
     return Face(coefficients=coefficients, shapes=shapes, pose=pose, residual_m=residual)
 
