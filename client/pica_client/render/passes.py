@@ -106,13 +106,15 @@ class DrawPasses:
     def surfaces(self, heads: Sequence[LayeredHead]) -> None:
         """Keep, per pixel of each layer, what of its head is nearest.
 
-        Only depth is cleared: where no mesh lies before the far plane the rest is not read, and
-        clearing 20 bytes a pixel takes as long as shading 50,000 (llvmpipe).
+        Where no mesh lies before the far plane only depth is read. So only depth is cleared where
+        clearing 20 bytes a pixel takes as long as shading 50,000 (llvmpipe); elsewhere to bind one
+        framebuffer more takes longer.
         """
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for head, layer in heads:
-            layer.empty.use()
-            layer.empty.clear(depth=1.0)
+            empty = layer.empty if self._is_software else layer.surface
+            empty.use()
+            empty.clear(depth=1.0)
             layer.surface.use()
             if head.mesh.decoded is not None and head.position is not None:
                 head.position.use(UNIT_POSITION)
@@ -143,6 +145,7 @@ class DrawPasses:
         """Run the pixel decoder where the surface pass has found something."""
         body = head.body
         layer.coloured.depth_mask = False
+        layer.coloured.use()
         layer.coloured.clear()
         if body.shade is None or head.expression is None:
             return
@@ -151,21 +154,19 @@ class DrawPasses:
         set_values(body.shade.program, is_change=head.expression.width < body.still_size)
         for unit, texture in layer.visible.items():
             texture.use(unit)
-        layer.coloured.use()
         # Only where some mesh lies before the far plane: whole blocks of others are skipped before
         # any program runs.
-        self._context.depth_func, layer.coloured.depth_mask = ">", False
+        self._context.depth_func = ">"
         self._context.disable(moderngl.CULL_FACE)
         set_values(body.shade.program, shown=body.fade_m)
         body.shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _texture(self, head: ShownHead, layer: Layer) -> None:
-        """Draw what has a texture, behind what is nearer."""
+        """Draw what has a texture, behind what is nearer; the framebuffer is that of `_decode`."""
         body, static, program = head.body, head.mesh.static, self.mesh_programs.static
         if static is None or body.skin is None:
             return
         set_values(program, corner=head.rect[:2])
-        layer.coloured.use()
         self._context.depth_func, layer.coloured.depth_mask = "<", True
         self._context.enable(moderngl.CULL_FACE)
         body.skin.use(UNIT_SKIN)
@@ -194,6 +195,7 @@ class DrawPasses:
         context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
         images.room_image.use(UNIT_ROOM)
+        image.use()
         for head, layer in heads:
             (layer.smooth if is_smooth else layer.colour).use(UNIT_LAYER)
             (left, bottom, right, top), highest = head.rect, math.ceil(max(head.fading_rows))
@@ -205,10 +207,8 @@ class DrawPasses:
                 if area_px(part):
                     self._set_place(screen.program, head, layer, images.size)
                     image.scissor = viewport(part)
-                    image.use()
                     screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
         image.scissor = None  # type: ignore[assignment]
-        image.use()
         context.disable(moderngl.BLEND)
 
     def _set_place(

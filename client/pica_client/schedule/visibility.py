@@ -99,12 +99,12 @@ def look(
     x = middles[:, :1] + a[:, None] * u
     y = middles[:, 1:] + b[:, None] * u + c[:, None] * v
     is_on_screen = (np.abs(x) <= 1) & (np.abs(y) <= 1)
-    is_hidden = np.zeros_like(is_on_screen)
-    for hider in range(len(places)):
-        u = (x - middles[hider, 0]) / a[hider]
-        v = (y - middles[hider, 1] - b[hider] * u) / c[hider]
-        is_behind = (depths > depths[hider])[:, None]
-        is_hidden |= is_behind & (u * u + v * v <= HIDER_SIZE**2)
+    # Each point in the disc of each head: [hider, head, point].
+    every = np.s_[:, None, None]
+    u = (x - middles[:, 0][every]) / a[every]
+    v = (y - middles[:, 1][every] - b[every] * u) / c[every]
+    is_behind = depths > depths[:, None]
+    is_hidden = (is_behind[..., None] & (u * u + v * v <= HIDER_SIZE**2)).any(axis=0)
     num_on_screen = is_on_screen.sum(axis=1)
     num_seen = (is_on_screen & ~is_hidden).sum(axis=1)
     seen_px = math.pi / 4 * width * height * a * c * num_seen / NUM_POINTS
