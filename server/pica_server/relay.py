@@ -33,6 +33,7 @@ from pica_server.status_pages import StatusPages
 from pica_server.store.store import AvatarStore
 from pica_server.store.transfers import Downloads, Uploads
 from pica_server.tokens import Keys, admin_scope, admit, admit_upload, load_keys
+from pica_server.web import avatar_files
 from pica_server.web_page import WebPage, page_files
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ class Relay:
 
         self.store: AvatarStore | None = None
         if config.avatar_store != "none":
-            self.store = AvatarStore(config.avatar_store, config.store)
+            self.store = AvatarStore(config.avatar_store, config.store, avatar_files())
         counts = self.hub.stats.store
         self._transfers: set[RelaySocket] = set()
         self._downloads = Downloads(self.store, counts, self._transfers, config.origins)

@@ -7,6 +7,7 @@ that changes with them, so a browser keeps them for good and never mixes two ver
 """
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -14,10 +15,10 @@ from importlib import resources
 from typing import Final
 
 from pica_server.status_pages import Page
+from pica_server.web import shader_texts
 
 CONTENT_TYPES: Final = {
     "css": "text/css; charset=utf-8",
-    "glsl": "text/plain; charset=utf-8",
     "html": "text/html; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "json": "application/json",
@@ -37,12 +38,13 @@ _HEADERS: Final = {
 
 
 def page_files() -> dict[str, str]:
-    """The files of the page that are in this package, by name."""
-    return {
+    """The files of the page that are in this package, and the shaders of the client's, by name."""
+    files = {
         each.name: each.read_text("utf-8")
-        for each in (resources.files("pica_server") / "web").iterdir()
+        for each in resources.files("pica_server.web").iterdir()
         if each.name.rpartition(".")[2] in CONTENT_TYPES
     }
+    return {**files, "shaders.json": json.dumps(shader_texts())}
 
 
 class WebPage:

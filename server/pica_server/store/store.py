@@ -16,9 +16,10 @@ import os
 import secrets
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, TypeVar
@@ -64,13 +65,14 @@ class Slots:
 
 
 class AvatarStore:
-    """Files by id in one folder, within a quota."""
+    """Files by id in one folder, within a quota; and those that ship."""
 
-    def __init__(self, where: str, config: StoreConfig) -> None:
+    def __init__(self, where: str, config: StoreConfig, shipped: Sequence[Path] = ()) -> None:
         """Look what is there.
 
         Args:
             where: A folder, or ``temporary``.
+            shipped: Files that are given as well, and count nowhere.
 
         Raises:
             ConfigurationError: The folder cannot be used, or holds more files than it may.
@@ -100,6 +102,7 @@ class AvatarStore:
                 "raise --store.max-avatars, or remove some"
             )
         self._reserved_bytes = self._num_reserved = 0
+        self._shipped = shipped
         self._threads = ThreadPoolExecutor(NUM_THREADS, thread_name_prefix="avatar-store")
 
     @property
@@ -127,7 +130,8 @@ class AvatarStore:
         size = await self._in_thread(lambda: self._size(identity))
         if size is None:
             self._sizes.pop(identity, None)
-        elif len(self._sizes) < self.config.max_avatars:
+            return await self._in_thread(lambda: self._size_that_ships(identity))
+        if len(self._sizes) < self.config.max_avatars:
             self._sizes[identity] = size
         return size
 
@@ -139,7 +143,10 @@ class AvatarStore:
         """
 
         def read() -> bytes:
-            with self._path(identity).open("rb") as file:
+            path = self._path(identity)
+            if identity not in self._sizes:
+                path = self._shipped_by_id.get(identity, path)
+            with path.open("rb") as file:
                 file.seek(begin)
                 return file.read(end - begin)
 
@@ -211,6 +218,14 @@ class AvatarStore:
             status = self._path(identity).lstat()
             return status.st_size if stat.S_ISREG(status.st_mode) else None
         return None
+
+    def _size_that_ships(self, identity: str) -> int | None:
+        path = self._shipped_by_id.get(identity)
+        return None if path is None else path.stat().st_size
+
+    @cached_property
+    def _shipped_by_id(self) -> dict[str, Path]:
+        return {hashlib.sha256(path.read_bytes()).hexdigest(): path for path in self._shipped}
 
     def _write(self, name: str, data: bytes | bytearray) -> None:
         """Write a whole file."""

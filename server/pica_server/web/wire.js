@@ -191,7 +191,7 @@ export function decodeMessage(data) {
   return { type, ...MESSAGES[type](value, type) };
 }
 
-/** @param {Message} message @returns {Uint8Array} */
+/** @param {Message} message @returns {Uint8Array<ArrayBuffer>} */
 export function encodeMessage(message) {
   return Uint8Array.from([CONTROL_KIND, ...pack(message)]);
 }
@@ -248,7 +248,7 @@ export function encodeHeader({ stream, sequence, capturedUs }, length) {
   return header;
 }
 
-/** @param {Frame} frame @returns {Uint8Array} A media message of one frame. */
+/** @param {Frame} frame @returns {Uint8Array<ArrayBuffer>} A media message of one frame. */
 export function encodeFrame(frame) {
   const header = encodeHeader(frame, frame.payload.length);
   return Uint8Array.from([MEDIA_KIND, ...header, ...frame.payload]);
