@@ -97,7 +97,7 @@ class Membership:
     def join(self, connection: Connection, join: Join, now: float) -> None:
         """Let a peer into a room, or close it."""
         limits, refuse = self._connections.config.limits, self._connections.refuse
-        if connection.is_crowded and self._place_of(join.room, join.resume) is None:
+        if connection.is_crowded and self._place_of(join) is None:
             reason = f"{limits.connections_per_address} connections from one address"
             refuse(connection, "address", CloseCode.TOO_MANY, reason, now)
             return
@@ -107,7 +107,7 @@ class Membership:
         except RefusalError as error:
             refuse(connection, "admission", error.code, str(error), now)
             return
-        place = self._place_of(join.room, join.resume)
+        place = self._place_of(join, admission.identity)
         payer = admission.identity or place or connection.address
         if not self._may_join(payer, now, is_back=place is not None):
             reason = "too many join at once, try again"
@@ -297,10 +297,13 @@ class Membership:
         if admission.may_subscribe:
             self._connections.catch_up(connection, room)
 
-    def _place_of(self, room: str, secret: str) -> str | None:
-        """Return whose place in a room a secret opens, or None."""
-        peer_id = self._places.get(_hash_of(secret), "")
-        return peer_id if room in self.rooms and peer_id in self.rooms[room] else None
+    def _place_of(self, join: Join, identity: str | None = None) -> str | None:
+        """Return whose place a join's secret opens, to this identity if one is given, or None: who
+        comes with another's secret neither gets the place nor takes it from its owner."""
+        peer_id, room = self._places.get(_hash_of(join.resume), ""), self.rooms.get(join.room)
+        if room is None or peer_id not in room:
+            return None
+        return peer_id if identity in (None, room.peer(peer_id).identity) else None
 
     def _forget_ticket(self, connection: Connection) -> None:
         self._places.pop(connection.ticket, None)
@@ -310,7 +313,7 @@ class Membership:
         self, connection: Connection, join: Join, admission: Admission, now: float
     ) -> bool:
         """Let a peer come back to its place, if that is still there and its own."""
-        peer_id = self._place_of(join.room, join.resume)
+        peer_id = self._place_of(join, admission.identity)
         if peer_id is None:
             self._stats.resumes["unknown"] += 1
             return False

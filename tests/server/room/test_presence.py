@@ -196,6 +196,20 @@ def test_a_stolen_identity_without_the_secret_and_the_reverse_give_no_place(
     assert not joined_of(thief).resumed
 
 
+@pytest.mark.parametrize("is_lost", [True, False])
+def test_who_comes_with_a_stolen_secret_takes_no_place_from_its_owner(is_lost: bool) -> None:
+    hub = hub_of_identities()
+    ada, bob = (Member(hub, each, token=each, resumable=True) for each in ("ada", "bob"))
+    if is_lost:
+        ada.lose_connection(now=1.0)
+    bob.listen(now=1.0)
+    Member(hub, "ada", token="mallory", now=2.0, former=ada.session)
+    assert [type(each) for each in bob.listen(now=2.0)] == [PeerJoined]
+    assert ada.closed_code is None or is_lost
+    again = Member(hub, "ada", token="ada", resumable=True, now=3.0, former=ada.session)
+    assert (again.peer_id, joined_of(again).resumed) == (ada.peer_id, True)
+
+
 def test_of_two_with_one_identity_the_newer_stays_and_the_older_is_told() -> None:
     hub = hub_of_identities()
     old = Member(hub, "Ada", token="ada")
