@@ -1,5 +1,6 @@
 """A rig as a head of ours: one chart without overlaps, eyes that turn, regions, small errors."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from pica_core.capture.rig.chart import add_gutters
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.triangles import signed_areas
+from pica_core.capture.triangles import front_view, signed_areas, visibility
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -138,3 +139,19 @@ def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
 
     assert head.mended == len(head.mesh.faces)
     assert_no_overlap(head)
+
+
+def test_triangles_that_are_metres_wide_are_looked_at_in_bounded_memory() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-2.0, 2.0, (2000, 3))
+    faces = rng.integers(0, 2000, (2000, 3)).astype(np.int32)
+    tracemalloc.start()
+    try:
+        view = front_view(points, faces)
+        seen = visibility([points, 8.0 * points], faces)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 320_000_000
+    assert (seen >= 0).all()
+    assert (view.face >= 0).any()
