@@ -32,3 +32,6 @@ LATENT_CHANNELS = 4
 LATENT_SHAPE = (LATENT_SIZE, LATENT_SIZE, LATENT_CHANNELS)
 """Rows, columns, channels of Z. Channel-last, as on the wire."""
 NUM_LATENT = LATENT_SIZE * LATENT_SIZE * LATENT_CHANNELS
+MAX_LATENT_LENGTH = 128.0
+"""Receivers shorten longer latents to this (measured: faces take 35, crowds of random shapes 60):
+what an avatar's file may do to the face of an extreme latent is bounded."""

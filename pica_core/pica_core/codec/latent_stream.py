@@ -39,7 +39,14 @@ from pica_core.codec.profile import (
     write_symbols,
 )
 from pica_core.errors import LatentError, ShapeError
-from pica_core.types import LATENT_SHAPE, NUM_LATENT, Array, FloatArray, Int64Array
+from pica_core.types import (
+    LATENT_SHAPE,
+    MAX_LATENT_LENGTH,
+    NUM_LATENT,
+    Array,
+    FloatArray,
+    Int64Array,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -104,9 +111,6 @@ STILL_AFTER_US = 250_000
 """A face that has not changed for so long falls silent."""
 HEARTBEAT_US = 250_000
 """Time between two frames of a silent face."""
-MAX_LENGTH = 128.0
-"""Longer latents are shortened to this (measured: faces take 35, crowds of random shapes 60): what
-an avatar's file may do to the face of an extreme latent is bounded (`pica_core.avatar.file`)."""
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
@@ -324,8 +328,8 @@ class LatentDecoder:
         count = self.profile.num_components
         pose = (coefficients[count:] * POSE_UNIT).astype(np.float32)
         latent = self.profile.synthesise(coefficients[:count])
-        if (length := np.linalg.norm(latent)) > MAX_LENGTH:
-            latent *= np.float32(MAX_LENGTH / length)
+        if (length := np.linalg.norm(latent)) > MAX_LATENT_LENGTH:
+            latent *= np.float32(MAX_LATENT_LENGTH / length)
         return LatentSample(
             latent=latent.reshape(LATENT_SHAPE),
             rotation=pose[:3],

@@ -149,7 +149,7 @@ def test_a_manifest_out_of_its_limits_is_refused(
 def test_triangles_that_cover_a_face_many_times_are_refused(tmp_path: Path) -> None:
     across = np.tile(np.array([26, 60, 29], np.int32), (5000, 1))  # from cheek to cheek and chin
     layered = Avatar(TOY.manifest, {**TOY.tensors, "mesh.faces": across})
-    with pytest.raises(AvatarFileError, match=r"level 256 cover .* times the box"):
+    with pytest.raises(AvatarFileError, match=r"level 256 cover .* the limit is 4"):
         save_avatar(tmp_path / "layered.pica", layered)
 
 
