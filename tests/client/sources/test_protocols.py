@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -76,6 +77,18 @@ def test_vmc_takes_whole_numbers() -> None:
     (sample,) = decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Apply"))
     assert sample.arkit[ARKIT_INDEX["jawOpen"]] == 1.0
     assert np.linalg.norm(sample.rotation) == pytest.approx(math.pi, rel=1e-3)
+
+
+def test_vmc_keeps_no_names_that_no_face_has() -> None:
+    decoder = VmcDecoder()
+    tracemalloc.start()
+    try:
+        for k in range(100):
+            decoder.decode(tracker_packets.vmc({f"Shape{k}-{n}": 1.0 for n in range(30)}))
+        held_bytes, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held_bytes < 100_000
 
 
 def test_vmc_without_apply_holds_from_one_round_to_the_next() -> None:

@@ -28,6 +28,24 @@ with Window((60, 40)) as window:
 """
 
 
+PRESS = """
+import subprocess
+from pica_client.ui.actions import keyboard
+from pica_client.ui.state import ViewState
+from pica_client.ui.window import Window
+with Window((480, 360)) as window:
+    for step in range(200):
+        window.poll()
+        window.begin(step / 50)
+        for request in keyboard(ViewState()):
+            print(request.name)
+        window.surface.end()
+        window.show(lambda target: None)
+        if step in (20, 60, 100):
+            subprocess.run(["xdotool", "key", "maq"[step // 40]], check=True)
+"""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
 def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -36,26 +54,39 @@ def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPa
         Window((64, 64))
 
 
-@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="needs Xvfb")
-def test_a_window_is_never_too_small_for_its_bar() -> None:
+def run_under_xvfb(script: str, *before: list[str]) -> list[str]:
+    """The words that a script prints on an X server of its own, after these commands."""
     read, write = os.pipe()
     words = ["Xvfb", "-displayfd", str(write), "-screen", "0", "640x480x24", "-nolisten", "tcp"]
     server = subprocess.Popen([*words, "-noreset"], pass_fds=[write], stderr=subprocess.DEVNULL)
     os.close(write)
     try:
         with os.fdopen(read) as number:
-            display = f":{number.readline().strip()}"
+            env = {**os.environ, "DISPLAY": f":{number.readline().strip()}"}
+        for command in before:
+            subprocess.run(command, env=env, check=True, timeout=60)
         done = subprocess.run(
-            [sys.executable, "-c", OPEN],
-            env={**os.environ, "DISPLAY": display},
-            capture_output=True,
-            text=True,
-            timeout=60,
+            [sys.executable, "-c", script], env=env, capture_output=True, text=True, timeout=60
         )
     finally:
         server.terminate()
         server.wait(10)
-    assert done.stdout.split() == ["480", "360"], done.stderr
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="needs Xvfb")
+def test_a_window_is_never_too_small_for_its_bar() -> None:
+    assert run_under_xvfb(OPEN) == ["480", "360"]
+
+
+@pytest.mark.skipif(
+    None in map(shutil.which, ("Xvfb", "xdotool", "setxkbmap")), reason="needs Xvfb and keyboards"
+)
+def test_keys_go_by_what_is_printed_on_them() -> None:
+    pressed = run_under_xvfb(PRESS, ["setxkbmap", "fr"])
+    # On a French keyboard M is where an American one has a semicolon, and A where that has Q.
+    assert pressed == ["MUTE_FACE", "CLOSE"]
 
 
 def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:

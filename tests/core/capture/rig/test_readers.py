@@ -207,6 +207,16 @@ def test_a_hostile_glb_is_refused(
         read_rig(path)
 
 
+@pytest.mark.parametrize("name", ["neutral.obj", "head.fbx", "head.glb"])
+def test_a_file_of_another_format_is_refused_by_the_formats_that_are_read(
+    tmp_path: Path, name: str
+) -> None:
+    path = tmp_path / name
+    path.write_text("mtllib head.mtl\no head\nv 0 0 0\n")
+    with pytest.raises(CaptureError, match=r"not a glTF 2.0 file \(.glb, .vrm or .gltf\)"):
+        read_rig(path)
+
+
 def test_a_rig_is_no_larger_than_people(tmp_path: Path) -> None:
     rig = toy_rig()
     rig.shapes["jawOpen"][3, 1] = 1e12

@@ -6,6 +6,7 @@ import io
 import json
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -368,6 +369,20 @@ def test_every_form_of_a_head_gives_the_same_picture(
     # Quantisation and another order of packing move edges between blocks by a part of a pixel.
     assert error.mean() < 1.0
     assert (error > 24).mean() < 0.01
+
+
+@pytest.mark.parametrize("has_other", [True, False])
+def test_a_picture_that_avif_alone_holds_is_refused_by_that_name(
+    tmp_path: Path, has_other: bool
+) -> None:
+    rig = wild_rig()
+    (texture,) = rig.document["textures"]
+    texture["extensions"] = {"EXT_texture_avif": {"source": 9}}
+    if not has_other:
+        del texture["source"]
+    path = rig.save(tmp_path / "avif.glb")
+    with nullcontext() if has_other else pytest.raises(CaptureError, match="EXT_texture_avif"):
+        read_rig(path)
 
 
 def test_a_mirrored_half_keeps_its_picture_when_its_islands_are_made_anew(
