@@ -50,7 +50,7 @@ def report(text: str) -> None:
 
 
 async def until_number(relay: RelayProcess, name: str, value: float) -> None:
-    for _ in range(200):
+    for _ in range(1000):
         if await asyncio.to_thread(relay.number, name) == value:
             return
         await asyncio.sleep(0.05)

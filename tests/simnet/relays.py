@@ -72,7 +72,8 @@ class NatsServer:
             self._process = None
 
 
-PATIENCE_S = 15.0
+PATIENCE_S = 60.0
+"""How long anything may take; a machine with ten times too much to do has needed 15."""
 
 
 class RelayProcess:
@@ -147,7 +148,7 @@ class Person:
         self.name = name
         self.others: dict[str, str] = {}
         self.has_joined = False
-        config = LinkConfig(url=url, room=room, name=name, connect_timeout_s=10.0)
+        config = LinkConfig(url=url, room=room, name=name, connect_timeout_s=PATIENCE_S)
         self.link = Link(config, (Track(kind="face"),), on_event=self._note)
 
     def sees(self, *names: str) -> bool:
