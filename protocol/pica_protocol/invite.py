@@ -1,11 +1,12 @@
 """Invite links: an address to click on that says which relay and which room, and may let in. Pure.
 
-    pica://relay.example/standup                       wss://relay.example
-    pica://192.168.0.7:8765/standup?plain=1            ws://192.168.0.7:8765
-    pica://relay.example/calls/standup#token=eyJ…      wss://relay.example/calls
+    https://relay.example/standup                       wss://relay.example
+    http://192.168.0.7:8765/standup                     ws://192.168.0.7:8765
+    https://relay.example/calls/standup#token=eyJ…      wss://relay.example/calls
 
-The last part of the path is the room. A token stands behind the #, which no server that a link
-passes through gets to see; who has such a link, comes in.
+A browser finds the relay's page there, and the viewer takes the same link. The last part of the
+path is the room. A token stands behind the #, which no server that a link passes through gets to
+see; who has such a link, comes in.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +14,8 @@ from urllib.parse import parse_qs, quote, unquote, urlencode, urlsplit
 
 from pica_protocol.limits import check_pass, check_relay_address, check_token
 
-SCHEME = "pica"
+SCHEMES = {"https": "wss", "http": "ws"}
+"""Of a link, and of the relay that it leads to."""
 MAX_LINK_LENGTH = 4096
 
 
@@ -38,9 +40,9 @@ def make_link(invite: Invite) -> str:
     parts = urlsplit(invite.url)
     host = parts.netloc.rpartition("@")[2]
     folder = parts.path.rstrip("/")
-    plain = "?plain=1" if parts.scheme == "ws" else ""
+    scheme = "https" if parts.scheme == "wss" else "http"
     token = "#" + urlencode({"token": invite.token}) if invite.token else ""
-    return f"{SCHEME}://{host}{folder}/{quote(invite.room)}{plain}{token}"
+    return f"{scheme}://{host}{folder}/{quote(invite.room)}{token}"
 
 
 def parse_link(link: str) -> Invite:
@@ -54,21 +56,20 @@ def parse_link(link: str) -> Invite:
         raise ValueError(f"an invite link of {len(text)} characters; {MAX_LINK_LENGTH} are allowed")
     try:
         parts = urlsplit(text)
-        query, secrets = parse_qs(parts.query), parse_qs(parts.fragment)
-        is_usable = parts.scheme == SCHEME and bool(parts.hostname) and parts.port != 0
+        secrets = parse_qs(parts.fragment)
+        is_usable = parts.scheme in SCHEMES and bool(parts.hostname) and parts.port != 0
     except ValueError:
         is_usable = False
     if not is_usable:
-        raise ValueError("this is no invite link; one looks like pica://HOST/ROOM")
+        raise ValueError("this is no invite link; one looks like https://HOST/ROOM")
     folder, _, room = parts.path.rpartition("/")
     if not room:
-        raise ValueError("the invite link names no room; one looks like pica://HOST/ROOM")
-    scheme = "ws" if query.get("plain") == ["1"] else "wss"
+        raise ValueError("the invite link names no room; one looks like https://HOST/ROOM")
     host = parts.netloc.rpartition("@")[2]
     (token, *_) = secrets.get("token", [""])
-    return Invite(url=f"{scheme}://{host}{folder}", room=unquote(room), token=token)
+    return Invite(url=f"{SCHEMES[parts.scheme]}://{host}{folder}", room=unquote(room), token=token)
 
 
 def is_link(text: str) -> bool:
     """Whether a text is meant to be an invite link."""
-    return text.strip().startswith(f"{SCHEME}://")
+    return text.strip().startswith(tuple(f"{scheme}://" for scheme in SCHEMES))

@@ -193,16 +193,16 @@ def test_what_the_command_line_says_comes_before_what_was_kept(tmp_path: Path) -
 
 
 def test_an_invite_link_leads_where_it_says() -> None:
-    state = first_state(ViewOptions(link="pica://host/there#token=abc"), None)
+    state = first_state(ViewOptions(link="https://host/there#token=abc"), None)
     assert (state.url, state.room, state.token) == ("wss://host", "there", "abc")
     with pytest.raises(OptionError, match="link: "):
-        first_state(ViewOptions(link="pica://host"), None)
+        first_state(ViewOptions(link="https://host"), None)
 
 
 def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
     library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    link = relay_url.replace("ws://", "pica://") + "/fun?plain=1"
+    link = relay_url.replace("ws://", "http://") + "/fun"
     options = replace(
         HEADLESS, link=link, join=JoinOptions(token_file=tmp_path / "not there", wait=True)
     )

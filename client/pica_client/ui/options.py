@@ -86,7 +86,7 @@ class ViewOptions:
     """Options of `pica view`."""
 
     link: str = field(default="", kw_only=False)
-    """An invite link, pica://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
+    """An invite link, https://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
     says where to go where there is none."""
     join: Annotated[JoinOptions, Parameter(name="*")] = field(default_factory=JoinOptions)
     send: str | None = None

@@ -118,10 +118,10 @@ def test_every_source_of_the_form_opens() -> None:
 
 def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
     form = form_of()
-    form.state.url = "pica://relay.example/standup#token=abc"
+    form.state.url = "https://relay.example/standup#token=abc"
     form.typed()
     assert form.state == replace(FILLED, url="wss://relay.example", room="standup", token="abc")
-    form.state.url = "pica://relay.example"
+    form.state.url = "https://relay.example"
     form.typed()
     assert form.trouble is not None
     assert "names no room" in form.trouble[0]

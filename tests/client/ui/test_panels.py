@@ -45,7 +45,7 @@ from pica_protocol.messages import BarIdentity, MutePeer, Peer, RemovePeer, Trac
 
 pytestmark = pytest.mark.unit
 
-INVITATION = "pica://relay.example/standup"
+INVITATION = "https://relay.example/standup"
 FACE, VOICE = Track(kind="face", stream=1), Track(kind="voice", stream=2)
 RECORDS = (("records", "yes"),)
 ME = Member(peer=Peer(peer_id="me", name="Me", tracks=(FACE,)))

@@ -32,11 +32,11 @@ def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("relay", "link", "is_sent"),
     [
-        ("wss://relay.example", "pica://evil.example/fun", False),
-        ("wss://relay.example", "pica://relay.example/fun", True),
-        ("wss://relay.example", "pica://relay.example/fun?plain=1", False),
-        ("wss://relay.example", "pica://relay.example:8443/fun", False),
-        ("", "pica://evil.example/fun", False),
+        ("wss://relay.example", "https://evil.example/fun", False),
+        ("wss://relay.example", "https://relay.example/fun", True),
+        ("wss://relay.example", "http://relay.example/fun", False),
+        ("wss://relay.example", "https://relay.example:8443/fun", False),
+        ("", "https://evil.example/fun", False),
     ],
 )
 def test_an_invite_link_takes_a_token_file_to_no_other_relay(
