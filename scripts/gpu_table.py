@@ -119,7 +119,7 @@ class Scene:
             self._decoder.add(slot, avatar)
         self._faces = [faces_of(avatar, NUM_FACES) for avatar in avatars]
         self._scheduler, self._turn = Scheduler(), 0
-        self._clock: DrawClock[None] = DrawClock(context)
+        self._clock: DrawClock[int] = DrawClock(context)
         self._took: dict[str, list[float]] = defaultdict(list)
 
     def close(self) -> None:
@@ -181,7 +181,7 @@ class Scene:
         ]
         self._renderer.forget_frame()
         draw_s = time.perf_counter()
-        with self._clock.around(None):
+        with self._clock.around(self._turn):
             self._renderer.draw(placements, *self._eyes)
         took["submit"].append(time.perf_counter() - draw_s)
         took["draw"] += [drawn_s for _, drawn_s in self._clock.take()]
