@@ -30,7 +30,9 @@ class _Handler(BaseHTTPRequestHandler):
     server: "_Server"
 
     def do_GET(self) -> None:
-        name = self.path.split("?")[0].lstrip("/")
+        name = self.path.split("?")[0].lstrip("/").removeprefix("web/")
+        if name not in self.server.files and "." not in name:
+            name = "index.html"
         content = self.server.files.get(name)
         if content is None:
             path = next((each / name for each in (PAGES, WEB) if (each / name).is_file()), None)
@@ -60,7 +62,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def run_page(
-    page: str, files: Mapping[str, bytes], *, timeout_s: float = 60.0, flags: tuple[str, ...] = ()
+    page: str, files: Mapping[str, bytes], *, timeout_s: float = 150.0, flags: tuple[str, ...] = ()
 ) -> tuple[dict[str, bytes], Any]:
     """Open a page of `PAGES` until it posts ``/done`` with JSON.
 

@@ -175,12 +175,6 @@ export function filterFaces(faces, passes) {
   return found.slice(0, count);
 }
 
-/** SHA-256 of a file, hexadecimal. @param {ArrayBuffer} bytes */
-export async function avatarId(bytes) {
-  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
-  return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
-}
-
 /**
  * Read and check an avatar.
  * @param {ArrayBuffer} bytes @param {string} id

@@ -261,7 +261,8 @@ const PROFILE_M = [
 export class Placeholder {
   /** @param {Graphics} graphics */
   constructor(graphics) {
-    const [rows, columns] = [PROFILE_M.length, 48];
+    const [profile, columns] = [smoothProfile(), 64];
+    const rows = profile.length;
     this.lowM = [-0.174, -0.29, -0.13];
     this.highM = [0.174, 0.138, 0.1];
     this.box = Float32Array.from([...this.lowM, ...this.highM]);
@@ -272,10 +273,10 @@ export class Placeholder {
     const faces = [];
     for (let at = 0; at < rows * columns; ++at) {
       const [row, column] = [Math.floor(at / columns), at % columns];
-      const [height, wide, deep, middle] = PROFILE_M[row];
+      const [height, wide, deep, middle] = profile[row];
       const turn = ((2 * column) / (columns - 1) - 1) * Math.PI;
       places.set([wide * Math.sin(turn), height, middle + deep * Math.cos(turn), (column + 0.5) / columns, (row + 0.5) / rows, 1], 6 * at);
-      const [above, below] = [PROFILE_M[Math.max(row - 1, 0)], PROFILE_M[Math.min(row + 1, rows - 1)]];
+      const [above, below] = [profile[Math.max(row - 1, 0)], profile[Math.min(row + 1, rows - 1)]];
       const slope = (below[1] - above[1]) / (above[0] - below[0]);
       const normal = [Math.sin(turn), slope, Math.cos(turn)].map((value) => value / Math.hypot(1, slope));
       const light = 0.5 + 0.5 * (0.296 * normal[0] + 0.741 * normal[1] + 0.593 * normal[2]);
@@ -291,6 +292,17 @@ export class Placeholder {
   textured() {
     return this._mesh;
   }
+}
+
+/** The profile with its corners rounded. */
+function smoothProfile() {
+  let rows = PROFILE_M;
+  for (let time = 0; time < 2; ++time) {
+    // Corners are cut (Chaikin), ends stay.
+    const cut = rows.slice(1).flatMap((row, index) => [0.25, 0.75].map((share) => row.map((value, k) => (1 - share) * rows[index][k] + share * value)));
+    rows = [rows[0], ...cut, rows[rows.length - 1]];
+  }
+  return rows;
 }
 
 /** Corners of a box, x, y, z of each. @param {number[]} low @param {number[]} high */

@@ -14,7 +14,7 @@ import { clipFromWorld, lookAt, multiply, NEAR_M } from "./space.js";
 /** @import { Graphics, Program, Target, Texture } from "./gl.js" */
 /** @import { Camera, Matrix } from "./space.js" */
 /** @typedef {[number, number, number, number]} Rect Left, bottom, right, top in pixels, rows from the bottom. */
-/** @typedef {{camera: Camera, rect: Rect}} View */
+/** @typedef {{camera: Camera, rect: Rect, slots?: Set<string>}} View What a camera sees where; of these slots alone. */
 /** @typedef {{places: import("./space.js").Vector[], speaking: number[]}} Room */
 /** @typedef {{avatar: Avatar | null, body: Body | Placeholder, maps: HeadMaps | null, version: number}} Slot */
 /**
@@ -116,6 +116,29 @@ export class Renderer {
     }));
   }
 
+  /** Seconds that decoding a head at the full level takes here. @param {string} slot */
+  measureDecode(slot) {
+    const { gl } = this._graphics;
+    const codes = /** @type {HeadMaps} */ (this._slots.get(slot)?.maps).of(256).codes;
+    /** @param {number} times */
+    const took = (times) => {
+      const started = performance.now();
+      for (let time = 0; time < times; ++time) {
+        this.decode([{ slot, latent: new Float32Array(256), view: [0, 0, 1], level: 256, isBoth: true }]);
+      }
+      gl.bindFramebuffer(gl.FRAMEBUFFER, codes.framebuffer);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, new Float32Array(4));
+      return (performance.now() - started) / 1000;
+    };
+    took(1);
+    const seconds = took(3) / 3;
+    const maps = this._slots.get(slot)?.maps;
+    if (maps) {
+      maps.level = 0;
+    }
+    return seconds;
+  }
+
   /**
    * Draw a frame into the canvas, or into a target, if it looks other than the one before.
    * @param {Placement[]} placements Heads in any order; unknown slots are left out.
@@ -128,7 +151,9 @@ export class Renderer {
     gl.disable(gl.SCISSOR_TEST);
     gl.cullFace(gl.BACK);
     gl.clearColor(0, 0, 0, 0);
-    const shown = views.flatMap((view) => placements.flatMap((placement) => this._shown(placement, view)));
+    const shown = views.flatMap((view) => placements
+      .filter(({ slot }) => view.slots?.has(slot) ?? true)
+      .flatMap((placement) => this._shown(placement, view)));
     const changed = this._withLayers(shown);
     for (const [head, layer] of changed) {
       this._drawLayer(head, layer);

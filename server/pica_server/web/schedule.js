@@ -46,7 +46,7 @@ export class Head {
     this.numTriangles = avatar.levels.map((level) => avatar.faces(level).length / 3);
     /** Head frame to world. @type {Matrix} */
     this.matrix = new Float64Array(16);
-    this.latent = new Float32Array(256);
+    this.latent = /** @type {Float32Array} */ (new Float32Array(256));
     /** Whether others speak. */
     this.isListening = false;
     this.sight = NOTHING;
