@@ -1,9 +1,11 @@
-"""`pica avatar info`, and `pica capture`: render people and rigs, and check captures."""
+"""`pica avatar info`, and `pica capture`: render people, rigs and yourself, and check captures."""
 
+import hashlib
+import json
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,13 @@ from rich.progress import Progress as ProgressBar
 from pica_core.avatar.file import avatar_file, avatar_id, load_avatar
 from pica_core.avatar.spec import pixel_codec_cost
 from pica_core.capture.dataset.check import check_capture
-from pica_core.capture.dataset.multiface import write_aside
+from pica_core.capture.dataset.multiface import read_json, write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.subject import RigSubject, Subject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
+from pica_core.face_networks import load_networks
 from pica_core.reference import count_parameters
 
 
@@ -201,3 +204,115 @@ def _tell(console: Console, about: dict[str, Any]) -> None:
         if about[name]:
             told = f"{name.replace('_', ' ')}: {', '.join(about[name])}"
             console.print(told, highlight=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeChoices:
+    """What a real person's head is made of, and what is chosen for it."""
+
+    scan: Path | None = None
+    """A scan of the head: a .glb, .gltf, .obj or .ply file with its texture."""
+    texture: Path | None = None
+    """An image to use instead of the scan's own."""
+    hair: str | None = None
+    """bald, buzz, short, swept, parted, receding, curly, afro, bob or long; by default as seen."""
+    hair_colour: str | None = None
+    """black, brown, light_brown, blond, red, grey or white; by default as seen."""
+    eyes: str | None = None
+    """brown, dark, hazel, green, blue or grey; by default as seen."""
+    clothes: str | None = None
+    """tee, vneck, shirt, turtleneck or hoodie."""
+    clothes_colour: str | None = None
+    """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
+    yes: bool = False
+    """The person agrees that an avatar is made of them; without it, you are asked."""
+
+    def chosen(self) -> dict[str, str]:
+        """The fields of `Person` that are named."""
+        values = {name: getattr(self, name) for name in NAMED if hasattr(self, name)}
+        for name, value in values.items():
+            if value is not None and value not in NAMED[name]:
+                raise CaptureError(f"{name} is {value!r}; there are {', '.join(NAMED[name])}")
+        return {name: value for name, value in values.items() if value is not None}
+
+
+AGREES = "Is this you, or does the person agree that an avatar is made of them? [y/N] "
+MADE_OF = "made_of.json"
+"""What a head was made of: a folder keeps to one."""
+
+
+def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
+    """Fit the head that is asked for, and keep it in a folder, or take the one that is there.
+
+    Raises:
+        CaptureError: The input is of no use, the folder is another head's, or nobody agreed.
+        FaceNetworksError: The networks are not there.
+    """
+    from pica_core.capture.me.head import FILE as HEAD
+    from pica_core.capture.me.register import register
+    from pica_core.capture.me.scan import read_scan
+    from pica_core.capture.me.scanned import head_of_scan
+
+    path = folder / HEAD
+    if choices.scan is None:
+        raise CaptureError("name what to make the head of: --scan FILE")
+    asked = {"of": file_digest(choices.scan), "chosen": choices.chosen()}
+    if path.exists():
+        if read_json(folder / MADE_OF) != asked:
+            raise CaptureError(f"{folder}: holds a head of something else; name another folder")
+        return path
+    networks = load_networks()
+    scan = read_scan(choices.scan, choices.texture)
+    if not choices.yes and not (sys.stdin.isatty() and input(AGREES).strip().lower()[:1] == "y"):
+        raise CaptureError("not made: the person has to agree; --yes says that they do")
+    console.print(f"Everything stays on this machine, in {folder}.", highlight=False)
+    found = register(scan, networks)
+    unit = found.unit or f"1/{found.face.pose.scale:.4g} m (no usual unit: sized as a face is)"
+    console.print(
+        f"{len(scan.faces):,} triangles, {found.up} is up, unit {unit}; "
+        f"the face model lies {1000 * found.off_m:.2f} mm off in the median",
+        highlight=False,
+    )
+    head = head_of_scan(found, choices.chosen())
+    if not scan.has_colour:
+        head = replace(head, guessed=("colours: the scan has none", *head.guessed))
+    console.print(f"proposed, since it was not seen: {'; '.join(head.guessed)}", highlight=False)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_aside(folder / MADE_OF, json.dumps(asked).encode())
+    head.write(path)
+    return path
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises:
+        CaptureError: It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror or error}") from error
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MeOptions(MeChoices, RenderOptions):
+    """Options of `pica capture me`."""
+
+    out: Path
+    """Directory to fill; the fitted head is kept beside it. An interrupted render is continued."""
+
+
+def me(options: MeOptions) -> dict[str, Any]:
+    """Render your own head, from a scan, into a capture directory."""
+    console = Console(stderr=True, highlight=False)
+    head = make_head(options, options.out.with_name(options.out.name + "-head"), console)
+    return render_me(console, head, options, options.out)
+
+
+def render_me(console: Console, head: Path, options: RenderOptions, out: Path) -> dict[str, Any]:
+    """Render a fitted head into a capture."""
+    from pica_core.capture.me.head import OwnSubject, read_head
+
+    return _render(console, lambda side: OwnSubject(read_head(head), bake_size=side), options, out)
