@@ -25,21 +25,35 @@ from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.paint import Growth
 from pica_core.capture.stage.subject import BAKE_SIZE, Subject
+from pica_core.capture.triangles import components
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Float64Array
 
 TEXTURE_SIZE = 1024
 """Side of a fitted head's texture, texels: 0.3 mm on the face (chosen)."""
-CHART_MIDDLE, CHART_SPAN = np.array([0.0, 0.0525]), 0.7
-"""Where the skin's islands lie on the chart of the model, and how wide."""
+CHART_SIDE = 1.075
+ISLANDS = (
+    (0.000, 0.000, 1.00), (0.683, 0.000, 0.55), (0.435, 0.700, 0.90), (0.683, 0.360, 1.00),
+    (0.715, 0.360, 1.00), (0.000, 0.700, 0.80), (0.730, 0.700, 0.50), (0.850, 0.700, 0.50),
+    (0.910, 0.700, 0.50),
+)  # fmt: skip
+"""Where on a square of this side the skin's islands go, and their scales: face, back of the head,
+crown, two pieces of ears, shoulders, mouth, two eye sockets. On the model's own chart they lie on
+top of each other."""
 FILE = "me.npz"
 """A fitted head, in the folder of its making."""
 
 
 def chart_uv(model: FaceModel) -> Float64Array:
-    """Texture coordinates of the model, so that its skin fills the texture; v downwards. ``[T, 2]``
-    for ``model.mean.uv_faces``. Other parts lie outside or elsewhere, and have no texture."""
-    return (model.mean.uv - CHART_MIDDLE) / CHART_SPAN + 0.5
+    """Texture coordinates of the model with its skin spread over the texture; v downwards. ``[T,
+    2]`` for ``model.mean.uv_faces``. Other parts keep theirs, and have no texture."""
+    uv, mean = model.mean.uv.copy(), model.mean
+    skin = mean.uv_faces[mean.part == MATERIALS.index("skin")]
+    label = components(mean.uv_faces, len(uv))
+    for island, (u, v, scale) in zip(np.unique(label[skin]), ISLANDS, strict=True):
+        mine = label == island
+        uv[mine] = ((uv[mine] - uv[mine].min(0)) * scale + [u, v]) / CHART_SIDE
+    return uv
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

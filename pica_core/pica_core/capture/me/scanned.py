@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from pica_core.capture.me.face import landmark_places
 from pica_core.capture.me.head import OwnHead
@@ -74,6 +74,9 @@ def head_of_scan(found: Registered, chosen: dict[str, str]) -> OwnHead:
         share = gaussian_filter(flat.seen.astype(np.float64), FEATHER_TEXELS)
         soft = gaussian_filter(opaque, FEATHER_TEXELS) / np.maximum(share, 1e-6)
         texture[..., 3] = np.rint(255 * np.minimum(opaque, soft))
+        # What filters reach beyond the edges is as the edge.
+        row, column = distance_transform_edt(~flat.seen, False, True)
+        texture = texture[row, column]
     style, hair = _hair(colours[scalp], alpha[scalp], np.array(look["skin_rgb"]))
     if style == PROPOSED:
         guessed.append("hair: the scan has no crown")

@@ -5,7 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.me.face import Surface, fit_face, landmark_places
+from pica_core.capture.me.head import chart_uv
 from pica_core.capture.person.choices import NUM_MODES, read_model
 
 pytestmark = pytest.mark.unit
@@ -45,3 +47,18 @@ def test_the_nearest_place_of_a_surface_is_no_farther_than_any_corner() -> None:
     corners = np.linalg.norm(mean.rest_m[None] - points[:, None], axis=2).min(1)
     assert (apart <= corners + 1e-9).all()
     np.testing.assert_allclose(weights.sum(1), 1, atol=1e-9)
+
+
+def test_no_two_places_of_the_skin_share_a_texel() -> None:
+    model = read_model()
+    skin = model.mean.part == MATERIALS.index("skin")
+    corners = chart_uv(model)[model.mean.uv_faces[skin]]
+    assert corners.min() >= 0
+    assert corners.max() <= 1
+    middles = corners.mean(1)
+    _, index = np.unique((1024 * middles).astype(int), axis=0, return_inverse=True)
+    places = model.mean.rest_m[model.mean.faces[skin]].mean(1)
+    order = np.argsort(index.ravel(), kind="stable")
+    same = np.diff(index.ravel()[order]) == 0
+    apart = np.linalg.norm(np.diff(places[order], axis=0), axis=1)[same]
+    assert np.quantile(apart, 0.99) < 0.004
