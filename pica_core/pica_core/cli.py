@@ -245,7 +245,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     """Fit the head that is asked for, and keep it in a folder, or take the one that is there.
 
     Raises:
-        CaptureError: The input is of no use, the folder is another head's, or nobody agreed.
+        CaptureError: The input is of no use, the folder is another head's, or the person
+            has not agreed.
         FaceNetworksError: The networks are not there.
     """
     from pica_core.capture.me.head import FILE as HEAD

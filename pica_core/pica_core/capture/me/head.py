@@ -5,7 +5,8 @@
 The chain behind `OwnHead` is that of all people (`person.subject`): lids and lips closed, hair and
 clothes added, eyes, teeth and tongue painted. Skin wears the texture that the fit made, on the
 model's own chart (`chart_uv`), over painted skin of the same tone: the texture's
-alpha says how well each texel was seen, and what nobody saw is painted in the colours of `look`.
+alpha says how well each texel was seen, and what was not seen is painted in the colours of
+`look`.
 """
 
 import io

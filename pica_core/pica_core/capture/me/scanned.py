@@ -75,7 +75,9 @@ def head_of_scan(found: Registered, chosen: dict[str, str]) -> OwnHead:
         soft = gaussian_filter(opaque, FEATHER_TEXELS) / np.maximum(share, 1e-6)
         texture[..., 3] = np.rint(255 * np.minimum(opaque, soft))
         # What filters reach beyond the edges is as the edge.
-        row, column = distance_transform_edt(~flat.seen, False, True)
+        row, column = distance_transform_edt(
+            ~flat.seen, return_distances=False, return_indices=True
+        )
         texture = texture[row, column]
     style, hair = _hair(colours[scalp], alpha[scalp], np.array(look["skin_rgb"]))
     if style == PROPOSED:
