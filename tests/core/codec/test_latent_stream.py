@@ -21,8 +21,11 @@ from pica_core.codec.latent_stream import (
     LatentEncoder,
     decode_frame,
     encode_frame,
+    quantise,
+    spare_bits,
     steps_of,
 )
+from pica_core.codec.profile import NUM_POSE
 from pica_core.errors import LatentError, ShapeError
 from pica_core.types import Float64Array
 
@@ -135,3 +138,17 @@ def test_another_shape_is_refused_by_name() -> None:
     encoder = LatentEncoder(toy_profile())
     with pytest.raises(ShapeError, match=r"latent is \(256,\)"):
         encoder.encode(np.zeros(256), STILL, STILL, 0)
+
+
+def test_a_sender_saves_bytes_and_stays_within_a_step() -> None:
+    profile = toy_profile()
+    steps = steps_of(DEFAULT_QUALITY, profile.num_components)
+    sizes = np.zeros(2)
+    for face in toy_faces(5, 300):
+        exact = np.append(profile.analyse(face.reshape(-1)), np.zeros(NUM_POSE, np.int64))
+        nearest = quantise(exact, steps)
+        spared = nearest.copy()
+        spare_bits(profile, exact[:-NUM_POSE], spared, int(steps[0]))
+        assert (np.abs(spared * steps - exact) < steps).all()
+        sizes += [len(encode_frame(profile, q, DEFAULT_QUALITY)) for q in (nearest, spared)]
+    assert sizes[1] < 0.98 * sizes[0]
