@@ -15,7 +15,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.camera import dome_cameras
-from pica_core.capture.stage.expressions import stream_training_expressions
+from pica_core.capture.stage.expressions import stream_training_expressions, tracked_expressions
 from pica_core.capture.triangles import components
 from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
@@ -235,7 +235,8 @@ METRIC_SIZE = 192
 def make_stream_profile(painter: ModelEvaluator) -> StreamProfile:
     """Learn the stream of a trained avatar from codes as a live sender makes them."""
     with torch.no_grad():
-        arkit = torch.from_numpy(stream_training_expressions())
+        shown = stream_training_expressions(), tracked_expressions()
+        arkit = torch.from_numpy(np.concatenate(shown))
         latents = painter.model.expression_encoder(arkit).permute(0, 2, 3, 1).numpy()
         codes = latents.reshape(-1, NUM_LATENT).astype(np.float64)
         metric = _measure_metric(painter, codes)
