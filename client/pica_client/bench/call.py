@@ -10,6 +10,7 @@ Wall-clock numbers hold for this machine under its present load.
 import asyncio
 import contextlib
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple
 
@@ -25,14 +26,17 @@ from pica_client.endpoint import Receiver
 from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.processes import Children
-from pica_client.playout.buffer import FLOOR_S
-from pica_client.playout.sender_clock import Transit
+from pica_client.playout.buffer import CEILING_S, FLOOR_S
+from pica_client.playout.sender_clock import WINDOW_S, Transit
 from pica_client.stats import describe_machine, summarise_ms
 from pica_client.system import say
 from pica_client.transport.connect import LinkConfig
 
-WARM_UP_S = 2.0
-"""Between the last peer's first frame and the first that counts."""
+WARM_UP_S = WINDOW_S
+"""Between the last peer's first frame and the first that counts: so long does a playout wait for
+what was late while the call began."""
+READY_TIMEOUT_S = 60.0
+"""How long decoders may take to get ready."""
 DECODE_THREADS = 2
 """Decodes that may run at once (chosen: five peers need 150 a second; one thread is enough for
 block G, two keep up with blocks of up to 10 ms)."""
@@ -67,25 +71,29 @@ class _Frame(NamedTuple):
 
 
 class _Decoding:
-    """Decodes every frame that arrives once it is due, and remembers when."""
+    """Decodes every frame that arrives once it is due, and remembers when.
 
-    def __init__(self, library: AvatarLibrary) -> None:
+    Args:
+        worn: Identities of avatars by the names of their wearers.
+    """
+
+    def __init__(self, library: AvatarLibrary, worn: Mapping[str, str]) -> None:
         self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS)
+        for name, identity in worn.items():
+            self.pool.add(name, library.load(identity))
+        self.pool.wait_idle(READY_TIMEOUT_S)  # to build a decoder makes frames late
         self.frames: deque[_Frame] = deque(maxlen=MAX_FRAMES)
         self.errors = 0
-        self._library = library
         self._transits: dict[str, Transit] = {}
         self._arrived_s: dict[tuple[str, int], float] = {}
 
     def receive(self, face: ArrivedFace) -> None:
         """Take a face that came just now; it is decoded as late as nearly all others come."""
         captured_s = face.captured_us / 1e6
-        if face.name not in self._transits:
-            self.pool.add(face.name, self._library.load(face.avatar_id))
-            self._transits[face.name] = Transit(face.arrived_s - captured_s)
-        transit = self._transits[face.name]
+        transit = self._transits.setdefault(face.name, Transit(face.arrived_s - captured_s))
         transit.receive(captured_s, face.arrived_s)
-        due_s = captured_s + transit.fastest_s + FLOOR_S + transit.jitter_s
+        wait_s = min(FLOOR_S + transit.jitter_s, CEILING_S)
+        due_s = captured_s + transit.fastest_s + wait_s
         asyncio.get_running_loop().call_at(due_s, self._decode, face)
 
     def _decode(self, face: ArrivedFace) -> None:
@@ -126,26 +134,26 @@ async def _measure(
         connect_timeout_s=local_call.JOIN_TIMEOUT_S,
         secret_file=local.secret_file,
     )
-    decoding = _Decoding(library)
+    decoding = _Decoding(library, local.worn)
     call = Call(library, on_face=decoding.receive)
     receiver = Receiver(link, call)
     loop = asyncio.get_running_loop()
     receiving = asyncio.create_task(receiver.run())
     try:
         deadline = loop.time() + local_call.JOIN_TIMEOUT_S
-        while call.num_live < len(local.names):
+        while call.num_live < len(local.worn):
             await _pause(receiving)
             local.check()
             if loop.time() > deadline:
                 raise CallProcessError(
-                    f"{call.num_live} of {len(local.names)} peers were seen within "
+                    f"{call.num_live} of {len(local.worn)} peers were seen within "
                     f"{local_call.JOIN_TIMEOUT_S:g} s"
                 )
         await _pause(receiving, WARM_UP_S)
         begin_s = loop.time()
         call.begin_window(begin_s)
         decoding.frames.clear()
-        say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
+        say(f"measuring {config.seconds:g} s of {len(local.worn)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
             await _pause(receiving, min(left_s, local_call.CHECK_INTERVAL_S))
             local.check()
@@ -161,7 +169,7 @@ async def _measure(
         decoding.pool.close()
     sent = await asyncio.to_thread(local.finish)
     return {
-        "peers": len(local.names),
+        "peers": len(local.worn),
         "decoded_peers": len({frame.name for frame in frames}),
         "seconds": round(seconds, 2),
         "latency_ms": summarise_ms(frame.decoded_s - frame.captured_s for frame in frames),

@@ -119,7 +119,7 @@ def _view_arguments(config: DemoConfig, stage: local_call.LocalCall) -> list[str
 def _watch(config: DemoConfig, stage: local_call.LocalCall, viewer: Child) -> None:
     """Wait for the viewer to end, looking after all processes meanwhile."""
     end_s = time.monotonic() + config.seconds + END_TIMEOUT_S
-    say(f"a call of {len(stage.names)} for {config.seconds:g} s")
+    say(f"a call of {len(stage.worn)} for {config.seconds:g} s")
     while viewer.exit_code is None:
         stage.check()
         if time.monotonic() > end_s:
@@ -143,7 +143,7 @@ def _stats(
         "seconds": shown["seconds"],
         "frames_rendered": shown["frames_rendered"],
         "render_fps": shown["render_fps"],
-        "latents_per_s": {name: rates.get(name, 0.0) for name in stage.names},
+        "latents_per_s": {name: rates.get(name, 0.0) for name in stage.worn},
         "decodes_per_s": round(sum(shown["decodes"].values()) / max(shown["seconds"], 0.01), 2),
         "bitrate_bps": local_call.bitrates(sent),
         "latency_ms": {**shown["latency_ms"], "parts": parts},

@@ -69,7 +69,7 @@ class LocalCall:
     """The processes of a call. Start it inside a `Children` block, which ends them.
 
     Attributes:
-        names: The senders, in order.
+        worn: Identities of the avatars that the senders wear, by name, in order.
 
     Raises:
         SourceError: A source that cannot be opened.
@@ -87,16 +87,19 @@ class LocalCall:
         for source in dict.fromkeys(sources):
             open_source(source)  # one clear error here instead of one per sender
         avatars = choose_avatars(config.avatar, library)
-        self.names = [
+        names = [
             NAMES[index] if index < len(NAMES) else f"Peer {index + 1}"
             for index in range(config.peers)
         ]
+        self.worn = {
+            name: library.find(avatars[index % len(avatars)]) for index, name in enumerate(names)
+        }
         secret = self.secret_file = _make_secret(children) if config.is_encrypted else None
         self.secret_arguments = [] if secret is None else ["--secret-file", str(secret)]
         self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
         has_voices = config.has_voices and available() is None
-        for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
+        for index, (name, source) in enumerate(zip(names, sources, strict=True)):
             self.senders[name] = children.start(
                 f"sender {name}",
                 *("send", "--url", self.url, "--room", ROOM, "--name", name),
