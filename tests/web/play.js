@@ -1,5 +1,6 @@
 // Parts of the page as the tests of it want them: whole runs, told in JSON.
 import { Head, Scheduler, seeHeads } from "../../server/pica_server/web/schedule.js";
+import { openAvatar } from "../../server/pica_server/web/avatar.js";
 import { nearing, orbitLimits, planCamera, planSeats } from "../../server/pica_server/web/seats.js";
 import { clipFromWorld, headMatrix, viewDirection } from "../../server/pica_server/web/space.js";
 import { compose, sirenSource, specDefines } from "../../server/pica_server/web/glsl.js";
@@ -48,4 +49,22 @@ export function pixelDecoder(texts, spec, filtered) {
   const siren = sirenSource(spec);
   const defines = { ...(filtered ? { FILTERED: "" } : {}), ...specDefines(spec) };
   return { siren, text: compose({ ...texts, "siren.glsl": siren }, "pixel_decoder.frag", defines) };
+}
+
+let kept = new Uint8Array();
+
+/** Keep a file for `reopen`. */
+export function keep(data) {
+  kept = data;
+}
+
+/** Read the kept avatar under another header, and cut; what is wrong with it. */
+export function reopen(header, length) {
+  const start = 8 + Number(new DataView(kept.buffer, kept.byteOffset).getBigUint64(0, true));
+  const text = new TextEncoder().encode(header);
+  const data = new Uint8Array(8 + text.length + kept.length - start);
+  new DataView(data.buffer).setBigUint64(0, BigInt(text.length), true);
+  data.set(text, 8);
+  data.set(kept.subarray(start), 8 + text.length);
+  openAvatar(data.slice(0, length).buffer, "id");
 }
