@@ -19,7 +19,8 @@ FLAGS = (
     "--ignore-gpu-blocklist --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync --disable-dev-shm-usage --disable-extensions "
     "--autoplay-policy=no-user-gesture-required --use-fake-ui-for-media-stream "
-    "--use-fake-device-for-media-stream --remote-debugging-port=0 --remote-allow-origins=*"
+    "--use-fake-device-for-media-stream --window-size=400,300 --remote-debugging-port=0 "
+    "--remote-allow-origins=*"
 )
 
 
@@ -44,7 +45,7 @@ class Tab:
         self._number += 1
         self._websocket.send(json.dumps({"id": self._number, "method": method, "params": params}))
         while True:
-            message = json.loads(self._websocket.recv(timeout=30))
+            message = json.loads(self._websocket.recv(timeout=60))
             if message.get("id") == self._number:
                 assert "error" not in message, message["error"]
                 return message["result"]
@@ -64,7 +65,9 @@ class Tab:
                 self.complaints.append(str(params["exceptionDetails"]))
 
     def open(self, url: str) -> None:
-        """Go to a page."""
+        """Go to a page, and forget what others said and asked for."""
+        self.requests.clear()
+        self.complaints.clear()
         self.send("Page.navigate", url=url)
 
     def value(self, script: str) -> Any:
