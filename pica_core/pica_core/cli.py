@@ -257,7 +257,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     path = folder / HEAD
     if choices.scan is None:
         raise CaptureError("name what to make the head of: --scan FILE")
-    asked = {"of": file_digest(choices.scan), "chosen": choices.chosen()}
+    files = [each for each in (choices.scan, choices.texture) if each is not None]
+    asked = {"of": [file_digest(each) for each in files], "chosen": choices.chosen()}
     if path.exists():
         if read_json(folder / MADE_OF) != asked:
             raise CaptureError(f"{folder}: holds a head of something else; name another folder")

@@ -148,11 +148,14 @@ SOURCES = {"scan": "a scan", "photos": "photos", "video": "a video"}
 
 def own_rig(own: OwnHead) -> tuple[RigHead, Growth]:
     """The posable head, dressed, and its hair; seconds of work."""
-    bare = read_model().shaped(own.rest_m)
-    skin = bare.part == MATERIALS.index("skin")
-    dressed, growth = dress(
-        replace(bare, material=np.where(skin, 0, -1).astype(np.int32)), own.person
+    model = read_model()
+    skin = model.mean.part == MATERIALS.index("skin")
+    bare = replace(
+        model.shaped(own.rest_m),
+        material=np.where(skin, 0, -1).astype(np.int32),
+        uv=chart_uv(model),
     )
+    dressed, growth = dress(bare, own.person)
     moved = np.abs(dressed.motion_m).max((1, 2)) > 0
     names = map_names([name for name, moves in zip(ARKIT_NAMES, moved, strict=True) if moves])
     return RigHead(dressed, names, "me"), growth
