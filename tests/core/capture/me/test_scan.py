@@ -1,0 +1,77 @@
+"""Scans: what cannot be one, and one whose truth is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from helpers.face_networks import face_networks
+from helpers.synthetic_scan import face_error_m, write_scan
+from pica_core.capture.me.register import register
+from pica_core.capture.me.scan import read_scan
+from pica_core.capture.me.scanned import head_of_scan
+from pica_core.capture.person.choices import read_model
+from pica_core.errors import CaptureError
+
+SPHERE = trimesh.creation.icosphere(subdivisions=5)
+
+
+def points_alone(path: Path) -> None:
+    trimesh.PointCloud(np.random.default_rng(0).normal(size=(50, 3))).export(path)
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("name", "write", "message"),
+    [
+        ("none.glb", lambda path: None, "No such file"),
+        ("scan.stl", lambda path: path.write_bytes(b"solid"), "export it as GLB"),
+        ("torn.glb", lambda path: path.write_bytes(b"glTF" + bytes(9)), "cannot be read"),
+        ("cloud.ply", points_alone, "a mesh, not a cloud"),
+        ("box.obj", lambda path: trimesh.creation.box().export(path), "12 triangles"),
+    ],
+)
+def test_a_file_that_is_no_scan_is_named_with_a_remedy(
+    tmp_path: Path, name: str, write: object, message: str
+) -> None:
+    assert callable(write)
+    write(tmp_path / name)
+    with pytest.raises(CaptureError, match=message) as caught:
+        read_scan(tmp_path / name)
+    assert name in str(caught.value)
+
+
+@pytest.mark.unit
+def test_a_scan_of_too_many_triangles_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    SPHERE.export(tmp_path / "head.ply")
+    monkeypatch.setattr("pica_core.capture.me.scan.MOST_TRIANGLES", 10_000)
+    with pytest.raises(CaptureError, match="20,480 triangles; up to 10,000"):
+        read_scan(tmp_path / "head.ply")
+
+
+@pytest.mark.render
+def test_what_has_no_face_is_refused(tmp_path: Path) -> None:
+    networks = face_networks()
+    SPHERE.export(tmp_path / "hand.ply")
+    with pytest.raises(CaptureError, match="no face is found from any side"):
+        register(read_scan(tmp_path / "hand.ply"), networks)
+
+
+@pytest.mark.render
+@pytest.mark.slow
+def test_a_scan_in_millimetres_upside_down_with_holes_gives_the_persons_shape(
+    tmp_path: Path,
+) -> None:
+    networks = face_networks()
+    truth = write_scan(tmp_path / "head.glb", seed=7)
+    found = register(read_scan(tmp_path / "head.glb"), networks)
+    assert (found.unit, found.up) == ("mm", "-y")
+    surface, _ = face_error_m(found.rest_m, truth)
+    mean, _ = face_error_m(read_model().mean.rest_m, truth)
+    assert surface < 0.0006 < mean
+    head = head_of_scan(found, {"hair": "bald"})
+    assert head.person.hair == "bald"
+    assert (head.texture[..., 3] > 127).mean() > 0.4
