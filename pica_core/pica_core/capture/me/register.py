@@ -168,7 +168,7 @@ def _axis(direction: Float64Array) -> str:
 
 
 def _unit(scale: float) -> str:
-    near = min(UNITS, key=lambda name: abs(np.log(scale / UNITS[name])))
+    near = min(UNITS, key=lambda name: float(abs(np.log(scale / UNITS[name]))))
     return near if abs(scale / UNITS[near] - 1) < UNIT_OFF else ""
 
 
@@ -254,11 +254,19 @@ def _fit(scan: Scan, views: MeshViews, networks: FaceNetworks, rough: Similarity
         )
         weights = (count >= 2) / (1 + (apart / 0.002) ** 2)
         measured = pose.apply(middle)
-        unit = _unit(face.pose.scale) if face is not None else ""
-        face = fit_face(places, measured, weights, scale=UNITS.get(unit))
+        face = fit_face(places, measured, weights)
+        # Size and the modes of size cannot both be found: of an unknown unit, a head is average.
+        average = face.pose.scale * _size(places.at(face.coefficients, face.shapes))
+        average /= _size(places.mean_m)
+        face = fit_face(places, measured, weights, scale=UNITS.get(_unit(average), average))
         pose = face.pose
     assert face is not None
     return face
+
+
+def _size(places: Float64Array) -> float:
+    """How far places are spread, metres."""
+    return float(np.sqrt(((places - places.mean(0)) ** 2).sum(1).mean()))
 
 
 def sample(scan: Scan, pose: Similarity) -> ScanCloud:

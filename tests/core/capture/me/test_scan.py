@@ -14,6 +14,8 @@ from pica_core.capture.me.scanned import head_of_scan
 from pica_core.capture.person.choices import read_model
 from pica_core.errors import CaptureError
 
+pytestmark = pytest.mark.render
+
 SPHERE = trimesh.creation.icosphere(subdivisions=5)
 
 
@@ -21,7 +23,6 @@ def points_alone(path: Path) -> None:
     trimesh.PointCloud(np.random.default_rng(0).normal(size=(50, 3))).export(path)
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize(
     ("name", "write", "message"),
     [
@@ -42,7 +43,6 @@ def test_a_file_that_is_no_scan_is_named_with_a_remedy(
     assert name in str(caught.value)
 
 
-@pytest.mark.unit
 def test_a_scan_of_too_many_triangles_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -52,7 +52,6 @@ def test_a_scan_of_too_many_triangles_is_refused(
         read_scan(tmp_path / "head.ply")
 
 
-@pytest.mark.render
 def test_what_has_no_face_is_refused(tmp_path: Path) -> None:
     networks = face_networks()
     SPHERE.export(tmp_path / "hand.ply")
@@ -60,7 +59,6 @@ def test_what_has_no_face_is_refused(tmp_path: Path) -> None:
         register(read_scan(tmp_path / "hand.ply"), networks)
 
 
-@pytest.mark.render
 @pytest.mark.slow
 def test_a_scan_in_millimetres_upside_down_with_holes_gives_the_persons_shape(
     tmp_path: Path,
