@@ -66,8 +66,10 @@ JITTER_QUANTILE = 0.97
 """Share of delays that are waited for."""
 RELEASE_S = 5.0
 """Time in which two thirds of a delay that is no longer needed are given up."""
-LEAP_S = 0.35
-"""Speech this far behind is left out (chosen: 0.3 s are caught up in a pause)."""
+LEAP_S = 0.2
+"""Speech this far behind is left out (measured on a car's cellular link: with 0.35, a tenth of what
+is heard is older than 0.4 s, with 0.16 to 0.26 hardly any, PESQ the same; from 0.16 down speech on
+a way with jitter alone is torn)."""
 LEAST_ERROR_S = 0.003
 """Wrong delay that is changed."""
 FADE = 240

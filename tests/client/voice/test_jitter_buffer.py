@@ -179,7 +179,7 @@ def test_a_silence_that_is_not_sent_is_neither_a_loss_nor_concealed():
 
 
 def test_a_short_stall_loses_no_word_and_after_a_long_one_the_voice_is_fresh_within_two_seconds():
-    for begin, end_s, is_long in ((200, 4.3, False), (200, 5.0, True)):
+    for begin, end_s, is_long in ((200, 4.2, False), (200, 5.0, True)):
         buffer = JitterBuffer(SpokenDecoder(with_pauses(hum(12))))
         arrivals = [
             (usual_arrival_s(i) if i < begin else max(usual_arrival_s(i), end_s), packet(i))
