@@ -15,7 +15,7 @@ from importlib import resources
 from typing import Final
 
 from pica_server.status_pages import Page
-from pica_server.web import shader_texts
+from pica_server.web import avatar_names, mouth_weights, shader_texts
 
 CONTENT_TYPES: Final = {
     "css": "text/css; charset=utf-8",
@@ -44,7 +44,8 @@ def page_files() -> dict[str, str]:
         for each in resources.files("pica_server.web").iterdir()
         if each.name.rpartition(".")[2] in CONTENT_TYPES
     }
-    return {**files, "shaders.json": json.dumps(shader_texts())}
+    made = {"avatars": avatar_names(), "mouth": mouth_weights(), "shaders": shader_texts()}
+    return {**files, **{f"{name}.json": json.dumps(value) for name, value in made.items()}}
 
 
 class WebPage:

@@ -13,10 +13,16 @@ import numpy as np
 import pytest
 
 from helpers.chromium import Tab, chromium
+from helpers.senders import LoadedAvatars
+from pica_client.call.call import Call, Ears
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.endpoint import Receiver
 from pica_client.local_call.processes import Child, Children
+from pica_client.transport.connect import LinkConfig
 from pica_client.voice import opus
+from pica_core.avatar.file import avatar_id, load_avatar, shipped_avatar_files
 from pica_core.types import FloatArray
+from pica_protocol.frames import Frame
 from pica_server.tokens import Admission, load_keys, mint, new_key_line
 
 pytestmark = [
@@ -33,7 +39,8 @@ JOIN = """
   const fragment = new URLSearchParams(location.hash.slice(1));
   const secret = fragment.get("secret") ?? "";
   const [room, token] = [location.pathname.slice(1), fragment.get("token") ?? ""];
-  pica.join({room, token, secret, name: fragment.get("name") ?? "Web"});
+  const avatarId = fragment.get("avatar") ?? "";
+  pica.join({room, token, secret, name: fragment.get("name") ?? "Web", avatarId});
 })()
 """
 """As the page joins, but that nothing is drawn: software takes most of two cores for it."""
@@ -145,6 +152,39 @@ def test_the_page_draws_who_is_in_the_room(children: Children, tab: Tab) -> None
     tab.value("document.getElementById('name').value = 'Web'")
     tab.value("document.getElementById('join').requestSubmit()")
     tab.until("document.getElementById('labels').textContent.includes('Ada')", 60)
+    assert tab.complaints == []
+
+
+class _Listener(Ears):
+    """Counts packets of voices."""
+
+    num_packets = 0
+
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
+        self.num_packets += 1
+
+
+def test_a_voice_and_the_face_that_it_moves_arrive(children: Children, tab: Tab) -> None:
+    _, url = children.start_relay()
+    path = shipped_avatar_files()[0]
+    identity, avatar = avatar_id(path), load_avatar(path)
+    ears, latents = _Listener(), []
+    call = Call(
+        LoadedAvatars({identity: avatar}),
+        ears=ears,
+        on_face=lambda face: latents.append(face.sample.latent),
+    )
+    with Receiver(LinkConfig(url=url, room="r", name="Ada"), call):
+        _enter(tab, url, "r", avatar=identity)
+        tab.until("pica.self?.faceAt(performance.now() / 1000)", 30)
+        tab.value("pica.voice.speak()")  # of the browser's own device, which beeps
+        ends_s = time.monotonic() + 30
+        while ears.num_packets < 20 or len(latents) < 60:
+            assert time.monotonic() < ends_s, (ears.num_packets, len(latents))
+            time.sleep(0.1)
+        assert call.num_live == 1
+        assert call.errors == 0
+    assert np.std(np.array(latents[-50:]), axis=0).max() > 0.1
     assert tab.complaints == []
 
 

@@ -12,6 +12,10 @@ function read(value) {
   if ("hex" in value) return Uint8Array.from(Buffer.from(value.hex, "hex"));
   if ("object" in value) return objects[value.object];
   if ("constant" in value) return () => value.constant;
+  if ("lookup" in value) {
+    const found = read({ map: value.lookup });
+    return (name) => found.get(name);
+  }
   if ("map" in value) return new Map(Object.entries(read(value.map)));
   if ("f32" in value) return Float32Array.from(value.f32);
   return Object.fromEntries(Object.entries(value).map(([key, item]) => [key, read(item)]));

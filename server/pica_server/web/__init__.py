@@ -4,10 +4,15 @@ These are files of packages that every install has. They are found, not imported
 of the libraries that those need.
 """
 
+import ast
+import base64
+import hashlib
+import zipfile
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-__all__ = ["avatar_files", "shader_texts"]
+__all__ = ["avatar_files", "avatar_names", "mouth_weights", "shader_texts"]
 
 
 def shader_texts() -> dict[str, str]:
@@ -21,6 +26,30 @@ def shader_texts() -> dict[str, str]:
 def avatar_files() -> list[Path]:
     """The avatars that ship."""
     return _files("pica_core", "avatars/*.pica")
+
+
+def mouth_weights() -> dict[str, dict[str, Any]]:
+    """The network that moves a mouth by a voice: by name the shape of a matrix, and its columns one
+    after the other as half floats in base64."""
+    found = {}
+    for path in _files("pica_client", "voice/mouth.npz"):
+        with zipfile.ZipFile(path) as file:
+            for name in file.namelist():
+                # The format of numpy: ten bytes, of which two are the length of the header.
+                data = file.read(name)
+                begin = 10 + int.from_bytes(data[8:10], "little")
+                header = ast.literal_eval(data[10:begin].decode())
+                halfs = base64.b64encode(data[begin:]).decode()
+                found[Path(name).stem] = {"shape": header["shape"], "halfs": halfs}
+    return found
+
+
+def avatar_names() -> dict[str, str]:
+    """The ids of the avatars that ship, by name."""
+    return {
+        path.stem.capitalize(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in avatar_files()
+    }
 
 
 def _files(package: str, pattern: str) -> list[Path]:

@@ -260,8 +260,8 @@ export class Call extends EventTarget {
     this.say("status");
   }
 
-  /** @param {{room: string, token: string, secret: string, name: string}} where */
-  join({ room, token, secret, name }) {
+  /** @param {{room: string, token: string, secret: string, name: string, avatarId?: string}} where */
+  join({ room, token, secret, name, avatarId = "" }) {
     const claims = claimsOf(token);
     const url = new URL(this.base);
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
@@ -270,11 +270,16 @@ export class Call extends EventTarget {
       this.setStatus({ state: "ended", reason: "open this page by https: the browser has no cryptography here" });
       return;
     }
-    const tracks = claims.publish === false ? [] : [VOICE_TRACK];
+    /** @type {Track[]} */
+    const face = avatarId ? [{ kind: "face", policy: "latest", avatar: avatarId, stream: 0, deadline_ms: 0 }] : [];
+    const tracks = claims.publish === false ? [] : [...face, VOICE_TRACK];
     const link = new Link(url.href, { room, token, name, tracks }, {
       message: (message) => this.receive(message),
       frame: (frame) => this.receiveFrame(frame),
-      left: (state, reason) => this.setStatus({ state, reason }),
+      left: (state, reason) => {
+        if (state === "ended") this.ownFace?.close();
+        this.setStatus({ state, reason });
+      },
     });
     this.link = link;
     if (tracks.length) link.metadata = { voice: "muted" };
@@ -290,6 +295,9 @@ export class Call extends EventTarget {
     }
     this.voice.open().catch((error) => this.voice.say(`no sound: ${said(error)}`));
     link.connect();
+    if (tracks.length > 1) {
+      this.wear(avatarId, name).catch((error) => this.voice.say(`no face is sent: ${said(error)}`));
+    }
     this.timer = setInterval(() => this.tick(), TICK_MS);
   }
 
@@ -297,7 +305,30 @@ export class Call extends EventTarget {
     clearInterval(this.timer);
     this.link?.leave();
     this.voice.close();
+    this.ownFace?.close();
     this.setStatus({ state: "ended", reason: "" });
+  }
+
+  /** Send a face, which the voice moves, and see it as the others do. @param {string} avatarId @param {string} name */
+  async wear(avatarId, name) {
+    const { OwnFace, openMouth } = await import("./face.js");
+    const [avatar, mouth] = await Promise.all([this.avatars.get(avatarId), openMouth(new URL(".", import.meta.url))]);
+    if (this.status.state === "ended") return;
+    const tracks = [{ kind: "face", policy: "latest", avatar: avatarId, stream: 1, deadline_ms: 0 }];
+    const peer = { peer_id: "self", name, tracks, metadata: {}, identity: "", is_name_assured: false };
+    const own = new Member(this, peer, -1, name);
+    own.avatar = avatar;
+    own.profile = new StreamProfile(avatar.tensors);
+    this.self = own;
+    let sequence = 0;
+    const face = new OwnFace(avatar, mouth, (payload, capturedUs, multiple) => {
+      this.publish("face", payload, capturedUs, multiple);
+      own.receive({ stream: 1, sequence, capturedUs, payload }, seconds());
+      sequence = (sequence + 1) % 65_536;
+    });
+    this.ownFace = face;
+    this.voice.onSound = (pcm, endS) => face.hear(pcm, endS);
+    this.say("people");
   }
 
   /** Let the encryption do something after all that came before. @param {() => Promise<void> | undefined} work */

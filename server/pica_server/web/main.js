@@ -27,8 +27,15 @@ function complain(problem) {
   element("join").hidden = false;
 }
 
-/** @param {string} name */
-async function enter(name) {
+/** Offer the avatars that ship. */
+async function offerAvatars() {
+  /** @type {Record<string, string>} */
+  const ids = await (await fetch(new URL("avatars.json", import.meta.url))).json();
+  element("avatar").append(...Object.entries(ids).map(([name, id]) => new Option(name, id)));
+}
+
+/** @param {string} name @param {string} [avatarId] */
+async function enter(name, avatarId = "") {
   // Only once, for a browser lends out few contexts.
   picture ??= new Picture(element("picture"), await texts, tile !== null);
   const { Call } = await import("./call.js");
@@ -43,7 +50,7 @@ async function enter(name) {
       complain(call.status.reason || "You left the call.");
     }
   });
-  call.join({ room, token: fragment.get("token") ?? "", secret: fragment.get("secret") ?? "", name });
+  call.join({ room, token: fragment.get("token") ?? "", secret: fragment.get("secret") ?? "", name, avatarId });
   if (tile === null) {
     void call.voice.start().catch(() => view.refresh());
   }
@@ -93,11 +100,13 @@ function begin() {
   const name = /** @type {HTMLInputElement} */ (element("name"));
   name.value = remembered();
   element("join").hidden = false;
+  offerAvatars().catch(() => {}); // one may join without
   element("join").addEventListener("submit", (event) => {
     event.preventDefault();
     remembered(name.value);
     element("problem").textContent = "";
-    enter(name.value.trim()).catch(complain);
+    const { value } = /** @type {HTMLSelectElement} */ (element("avatar"));
+    enter(name.value.trim(), value).catch(complain);
   });
 }
 

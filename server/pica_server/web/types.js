@@ -52,6 +52,7 @@
  * @typedef {object} AvatarFile
  * @property {string} id SHA-256 of its bytes, in hexadecimal.
  * @property {ReadonlyMap<string, Tensor>} tensors
+ * @property {(name: string) => Float32Array} floats Any tensor, as floats.
  */
 
 /**
