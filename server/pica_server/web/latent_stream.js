@@ -35,6 +35,8 @@ const STEPS = [
   [10, 4, 1],
 ];
 const DEFAULT_QUALITY = 3;
+/** A bit less is worth so much more squared error of the latent, in squared steps. */
+const BIT_PRICE = 0.12;
 
 /** What cannot be read as a frame. */
 export class LatentError extends Error {}
@@ -288,9 +290,11 @@ export function encodeFace(profile, { latent, rotation, translation }) {
     ...Array.from(translation, (value) => clamp(value, 1)),
   ].map((value) => roundHalfEven(value / POSE_UNIT));
   const steps = stepsOf(DEFAULT_QUALITY, profile.count);
-  const values = [...profile.analyse(latent), ...pose].map((value, i) =>
+  const exact = profile.analyse(latent);
+  const values = [...exact, ...pose].map((value, i) =>
     Math.sign(value) * Math.floor((2 * Math.abs(value) + steps[i]) / (2 * steps[i])));
   const face = values.slice(0, profile.count);
+  spareBits(face, exact, steps[0], profile.tables);
   const turned = values.slice(profile.count);
   const header = (face.some(Boolean) ? HAS_LATENT : 0) | (turned.some(Boolean) ? HAS_POSE : 0);
   /** @type {[number, number][]} */
@@ -306,6 +310,32 @@ export function encodeFace(profile, { latent, rotation, translation }) {
     }
   }
   return writeSymbols(ranges);
+}
+
+/**
+ * Rounds coefficients in steps towards 0 where the bits are worth the error.
+ *
+ * @param {number[]} values Rounded to the nearest; changed in place.
+ * @param {ArrayLike<number>} exact
+ * @param {number} step
+ * @param {readonly Table[][]} tables
+ */
+function spareBits(values, exact, step, tables) {
+  let activity = 0;
+  values.forEach((value, place) => {
+    let magnitude = Math.abs(value);
+    const grown = 1 - 2 * (magnitude - Math.abs(exact[place]) / step);
+    if (grown < 1 && magnitude > 0 && magnitude < ESCAPE) {
+      const { frequencies } = tables[place][contextOf(activity)];
+      const sign = value > 0 ? 1 : 0;
+      const cheap = frequencies[magnitude > 1 ? 2 * (magnitude - 1) - sign : 0];
+      if (BIT_PRICE * Math.log2(cheap / frequencies[2 * magnitude - sign]) > grown) {
+        magnitude -= 1;
+        values[place] = Math.sign(value) * magnitude;
+      }
+    }
+    activity += magnitude - Math.abs(values[place - ACTIVITY_WINDOW] ?? 0);
+  });
 }
 
 /** @param {[number, number][]} ranges @param {number[]} values @param {readonly Table[][]} tables */
