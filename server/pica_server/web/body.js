@@ -37,7 +37,7 @@ export class Body {
     this.box = Float32Array.from([...this.lowM, ...this.highM]);
     this.fadeM = fadeHeights(avatar.bust().lowerM);
     this.outline = this._outline();
-    this.shade = graphics.screen("pixel_decoder.frag", { ...specDefines(avatar.spec), FILTERED: "" }, { "siren.glsl": sirenSource(avatar.spec) });
+    this.shade = graphics.screen("pixel_decoder.frag", { ...specDefines(avatar.spec), FILTERED: "" }, { "siren.glsl": sirenSource(avatar.spec, graphics.isSoftware ? avatar : null) });
     /** @type {[number, Texture][]} */
     this._textures = this._encodings();
     this._weights = this._uploadWeights();
@@ -85,6 +85,9 @@ export class Body {
     const { gl } = this._graphics;
     this._graphics.free(...this._textures.map(([, texture]) => texture), this.skin);
     gl.deleteBuffer(this._weights);
+    if (this._graphics.isSoftware) {
+      this._graphics.forget(this.shade); // its weights are constants
+    }
     this._meshes.forEach((mesh) => {
       gl.deleteVertexArray(mesh?.vertices ?? null);
       mesh?.buffers.forEach((buffer) => gl.deleteBuffer(buffer));

@@ -40,6 +40,8 @@ export class Graphics {
     this.smooth = hasFloats && gl.getExtension("OES_texture_float_linear") ? "RGBA32F" : "RGBA16F";
     const info = gl.getExtension("WEBGL_debug_renderer_info");
     this.renderer = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+    /** Whether the processor draws. */
+    this.isSoftware = !onlyHalfs && /swiftshader|llvmpipe|software|basic render/i.test(this.renderer);
     /** A vertex array without attributes, for rectangles. */
     this.nothing = gl.createVertexArray();
     /** @type {Map<string, Program>} Keyed by the fragment shader's text. */
@@ -90,6 +92,12 @@ export class Graphics {
     const program = this._screens.get(fragment) ?? this.program(compose(texts, "rect.vert"), fragment);
     this._screens.set(fragment, program);
     return program;
+  }
+
+  /** Free a program that `screen` made. @param {Program} screen */
+  forget(screen) {
+    this.gl.deleteProgram(screen.program);
+    this._screens = new Map([...this._screens].filter(([, each]) => each !== screen));
   }
 
   /** Draw a rectangle by a program into a target. @param {Program} screen @param {Target} target */

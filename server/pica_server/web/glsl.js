@@ -88,20 +88,41 @@ export function sineLayers(spec) {
 /** Texels of four that so many channels fill. @param {number} channels */
 export const vectors = (channels) => Math.ceil(channels / 4);
 
+/** sin(2 pi s) over a quarter turn either way as an odd polynomial (`gpu_tables.SINE_COEFFICIENTS`). */
+const SINE = [6.283164044063381, -41.33714233439381, 81.34076751798747, -70.99341896675098];
+
+/** A constant of GLSL. @param {string} kind @param {ArrayLike<number>} values */
+const constant = (kind, values) => `${kind}(${Array.from(values, (value) => value.toExponential(8)).join(", ")})`;
+
+/** Weights whose sums are quarter turns ahead, in turns. @param {Avatar} avatar @param {string} name @param {number} sum Of a bias. */
+function inTurns(avatar, name, sum) {
+  return avatar.floats(name).map((value) => value / (2 * Math.PI) + sum);
+}
+
 /**
- * Both sine networks, layer by layer, without loops; weights stand in a uniform block.
- * @param {Spec} spec
+ * Both sine networks, layer by layer, without loops. Weights stand in a uniform block, or, of an
+ * avatar, as constants in turns, which machines without a circuit for sines draw faster.
+ * @param {Spec} spec @param {Avatar | null} [avatar]
  */
-export function sirenSource(spec) {
+export function sirenSource(spec, avatar = null) {
   const sizes = sineLayers(spec).map(([, ins, outs]) => [vectors(ins), vectors(outs)]);
   const matrices = sizes.reduce((sum, [ins, outs]) => sum + ins * outs, 0);
   const biases = sizes.reduce((sum, [, outs]) => sum + outs, 0);
-  const lines = [
-    "layout(std140) uniform Weights {",
-    `    mat4 matrices[${matrices}];`,
-    `    vec4 biases[${biases}];`,
-    "};",
+  const block = ["layout(std140) uniform Weights {", `    mat4 matrices[${matrices}];`, `    vec4 biases[${biases}];`, "};"];
+  const [a, b, c, d] = SINE.map((value) => value.toExponential(8));
+  const turns = [
+    "vec4 sine_of_turns(vec4 turns) {",
+    "    vec4 s = 0.25 - abs(fract(turns) - 0.5);",
+    "    vec4 q = s * s;",
+    `    return s * (${a} + q * (${b} + q * (${c} + q * ${d})));`,
+    "}",
   ];
+  const lines = avatar ? turns : block;
+  const [sine, weights] = avatar ? ["sine_of_turns", packWeights(avatar, true)] : ["sin", null];
+  /** @param {number} index */
+  const matrixOf = (index) => (weights ? constant("mat4", weights.subarray(16 * index, 16 * index + 16)) : `matrices[${index}]`);
+  /** @param {number} index */
+  const biasOf = (index) => (weights ? constant("vec4", weights.subarray(16 * matrices + 4 * index, 16 * matrices + 4 * index + 4)) : `biases[${index}]`);
   let matrix = 0;
   let bias = 0;
   /** @param {string} head @param {string[]} values @param {number[][]} layers @param {string} result */
@@ -111,9 +132,9 @@ export function sirenSource(spec) {
       const isLast = result !== "" && index + 1 === layers.length;
       const outputs = Array.from({ length: count }, (_, number) => `h${index}_${number}`);
       for (const name of outputs) {
-        const terms = values.map((value) => `matrices[${matrix++}] * ${value}`);
-        const total = [`biases[${bias++}]`, ...terms].join(" + ");
-        lines.push(`    vec4 ${name} = ${isLast ? total : `sin(${total})`};`);
+        const terms = values.map((value) => `${matrixOf(matrix++)} * ${value}`);
+        const total = [biasOf(bias++), ...terms].join(" + ");
+        lines.push(`    vec4 ${name} = ${isLast ? total : `${sine}(${total})`};`);
       }
       values = outputs;
     });
@@ -142,15 +163,17 @@ export function blocks(weight, outs, ins) {
   return found;
 }
 
-/** Both networks' weights for the block: all matrices, then all biases. @param {Avatar} avatar */
-export function packWeights(avatar) {
+/** Both networks' weights for the block: all matrices, then all biases; those of sines in turns. @param {Avatar} avatar @param {boolean} [hasTurns] */
+export function packWeights(avatar, hasTurns = false) {
   const layers = sineLayers(avatar.spec);
-  const parts = layers.map(([name, ins, outs]) => blocks(avatar.floats(`${name}.weight`), outs, ins));
-  for (const [name, , outs] of layers) {
+  /** @param {string} name @param {number} index @param {number} ahead */
+  const read = (name, index, ahead) => (hasTurns && index + 1 < layers.length ? inTurns(avatar, name, ahead) : avatar.floats(name));
+  const parts = layers.map(([name, ins, outs], index) => blocks(read(`${name}.weight`, index, 0), outs, ins));
+  layers.forEach(([name, , outs], index) => {
     const bias = new Float32Array(4 * vectors(outs));
-    bias.set(avatar.floats(`${name}.bias`));
+    bias.set(read(`${name}.bias`, index, 0.25));
     parts.push(bias);
-  }
+  });
   return joined(parts);
 }
 

@@ -106,7 +106,7 @@ export class Picture {
       return null;
     }
     const graphics = new Graphics(gl, this._texts);
-    this._isSoftware = /swiftshader|llvmpipe|software|basic render/i.test(graphics.renderer);
+    this._isSoftware = graphics.isSoftware;
     return new Scene(new Renderer(graphics, { hasRoom: !this._isTile }));
   }
 }
