@@ -251,6 +251,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     """
     from pica_core.capture.me.head import FILE as HEAD
     from pica_core.capture.me.register import register
+    from pica_core.capture.me.report import FILE as REPORT
+    from pica_core.capture.me.report import write_report
     from pica_core.capture.me.scan import read_scan
     from pica_core.capture.me.scanned import head_of_scan
 
@@ -281,6 +283,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     console.print(f"proposed, since it was not seen: {'; '.join(head.guessed)}", highlight=False)
     folder.mkdir(parents=True, exist_ok=True)
     write_aside(folder / MADE_OF, json.dumps(asked).encode())
+    write_report(folder / REPORT, found, head)
+    console.print(f"pictures of scan and fitted head: {folder / REPORT}", highlight=False)
     head.write(path)
     return path
 

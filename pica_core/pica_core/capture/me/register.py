@@ -94,6 +94,7 @@ class Registered:
     """The model laid over a scan.
 
     Attributes:
+        scan: With its image the right way up.
         face: Its fit; ``face.pose`` leads to the scan's frame.
         rest_m: Vertices of the full model at rest, with what is the scan's alone. ``[P, 3]``.
         cloud: The scan at rest as far as it was not, head frame.
@@ -103,6 +104,7 @@ class Registered:
         off_m: Distance of the skin of the face to the scan, median.
     """
 
+    scan: Scan
     face: Face
     rest_m: Float64Array
     cloud: ScanCloud
@@ -134,6 +136,7 @@ def register(scan: Scan, networks: FaceNetworks) -> Registered:
     start = model.mean.rest_m + shape + acted
     moved, seen, off_m = refine(model, start, cloud)
     return Registered(
+        scan=scan,
         face=face,
         rest_m=moved - acted,
         cloud=cloud,

@@ -9,6 +9,7 @@ import trimesh
 from helpers.face_networks import face_networks
 from helpers.synthetic_scan import face_error_m, write_scan
 from pica_core.capture.me.register import register
+from pica_core.capture.me.report import write_report
 from pica_core.capture.me.scan import read_scan
 from pica_core.capture.me.scanned import head_of_scan
 from pica_core.capture.person.choices import read_model
@@ -73,3 +74,7 @@ def test_a_scan_in_millimetres_upside_down_with_holes_gives_the_persons_shape(
     head = head_of_scan(found, {"hair": "bald"})
     assert head.person.hair == "bald"
     assert (head.texture[..., 3] > 127).mean() > 0.4
+    write_report(tmp_path / "report.html", found, head)
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/jpeg") == 9
+    assert all(each in page for each in head.guessed)

@@ -1,0 +1,103 @@
+"""A page of pictures for the person: the scan, the head that was fitted to it, how far they differ,
+and what was guessed. One HTML file that needs nothing beside it."""
+
+import base64
+import html
+import io
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from pica_core.camera import Camera, aimed_camera
+from pica_core.capture.dataset.multiface import MATERIALS, write_aside
+from pica_core.capture.me.face import head_faces
+from pica_core.capture.me.head import OwnHead, chart_uv
+from pica_core.capture.me.register import Registered
+from pica_core.capture.me.scan import Scan
+from pica_core.capture.me.views import MeshViews
+from pica_core.capture.person.choices import read_model
+from pica_core.capture.stage.subject import View
+from pica_core.types import ByteArray, FloatArray
+
+FILE = "report.html"
+AZIMUTHS, SIDE = (0.0, 40.0, 80.0), 400
+WORST_M = 0.003
+"""Distance that is drawn as red as any."""
+TEMPLATE = """<!doctype html><meta charset="utf-8"><title>{title}</title>
+<style>body{{font:16px sans-serif;margin:2em;max-width:1260px}}td{{padding:2px}}</style>
+<h1>{title}</h1><p>{told}</p><table><tr><th>scan<th>fitted head<th>distance, 0 to 3 mm</tr>
+{rows}</table><h2>Guessed, since it was not seen</h2><ul>{guessed}</ul>
+"""
+
+
+def write_report(path: Path, found: Registered, head: OwnHead) -> None:
+    """Write the page.
+
+    Raises:
+        CaptureError: It cannot be written.
+    """
+    scan, mine, theirs = found.scan, _as_scan(head), []
+    shown: list[list[ByteArray]] = []
+    pairs = ((scan, found.face.pose.undo(scan.points)), (mine, mine.points))
+    for each, points in pairs:
+        with MeshViews(each) as views:
+            views.move(points)
+            theirs.append([views.draw(_camera(azimuth)) for azimuth in AZIMUTHS])
+    for one, two in zip(*theirs, strict=True):
+        shown.append([one.image, two.image, _distance(one, two)])
+    rows = "\n".join(
+        "<tr>" + "".join(f'<td><img src="{_inline(image)}">' for image in images) + "</tr>"
+        for images in shown
+    )
+    told = (
+        f"{scan.path.name}: {len(scan.faces):,} triangles. The skin of the face lies "
+        f"{1000 * found.off_m:.2f} mm off the scan in the median."
+    )
+    guessed = "".join(f"<li>{html.escape(each)}" for each in head.guessed)
+    page = TEMPLATE.format(
+        title="Your own head, from a scan", told=html.escape(told), rows=rows, guessed=guessed
+    )
+    write_aside(path, page.encode())
+
+
+def _camera(azimuth: float) -> Camera:
+    return aimed_camera("", azimuth, 0.0, "head", width=SIDE, height=SIDE)
+
+
+def _as_scan(head: OwnHead) -> Scan:
+    """Skin and eyes of a fitted head, each triangle with corners of its own."""
+    model = read_model()
+    mean = model.mean
+    skin, eyes = head_faces(model, "skin"), head_faces(model, "eye")
+    placed = chart_uv(model)[mean.uv_faces[mean.part == MATERIALS.index("skin")]].reshape(-1, 2)
+    count, more = skin.size, eyes.size
+    tint = np.ones((count + more, 3))
+    middle = np.array([0.31, 0.2])
+    row, column = (middle[::-1] * len(head.texture)).astype(int)
+    tint[count:] = 220 / np.maximum(head.texture[row, column, :3], 1)
+    return Scan(
+        path=Path("head"),
+        points=head.rest_m[np.concatenate([skin, eyes]).ravel()],
+        faces=np.arange(count + more, dtype=np.int32).reshape(-1, 3),
+        uv=np.concatenate([placed, np.tile(middle, (more, 1))]),
+        image=np.ascontiguousarray(head.texture[..., :3]),
+        colours=tint,
+        has_colour=True,
+        has_loose_image=False,
+    )
+
+
+def _distance(one: View, two: View) -> ByteArray:
+    """How far two views differ in depth: from green over yellow to red, grey where one is empty."""
+    apart: FloatArray = np.abs(one.depth_m - two.depth_m) / np.float32(WORST_M)
+    both = (one.depth_m > 0) & (two.depth_m > 0)
+    share = np.clip(apart, 0, 1)[..., None]
+    colour = np.concatenate([np.clip(2 * share, 0, 1), np.clip(2 - 2 * share, 0, 1), 0 * share], 2)
+    return np.where(both[..., None], 230 * colour, 92).astype(np.uint8)
+
+
+def _inline(image: ByteArray) -> str:
+    stored = io.BytesIO()
+    Image.fromarray(image).save(stored, "JPEG", quality=88)
+    return "data:image/jpeg;base64," + base64.b64encode(stored.getvalue()).decode()
