@@ -146,5 +146,5 @@ def _iris(found: Registered, skin: Float64Array) -> Float64Array | None:
     colours = np.concatenate(rings)
     if len(colours) < 20:
         return None
-    colour = np.clip(unlit(linear(255 * np.quantile(colours, 0.3, axis=0))), 0.008, 0.3)
+    colour = np.clip(unlit(linear(255 * np.median(colours, axis=0))), 0.008, 0.3)
     return None if np.abs(np.log(colour) - np.log(skin)).max() < LIKE_SKIN else colour
