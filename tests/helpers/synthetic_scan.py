@@ -21,9 +21,9 @@ def write_scan(
 ) -> Float64Array:
     """Write a scan of a drawn person, upside down, in so many units a metre, as a GLB file; returns
     the true vertices of the model, metres ``[P, 3]``."""
-    subject = PersonSubject(draw_person(seed, hair="short"), bake_size=1024, self_shadow=False)
+    subject = PersonSubject(draw_person(seed, hair="short"), bake_size=512, self_shadow=False)
     points = subject.pose(np.zeros(NUM_ARKIT)).astype(np.float64)
-    _, texture = subject.photograph(dome_cameras(8, 512, 512, "one"), 1024)
+    _, texture = subject.photograph(dome_cameras(5, 384, 384, "one"), 512)
     random = np.random.default_rng(seed)
     faces, chart = subject.topology.faces, subject.topology.vertex_uv
     middles, kept = points[faces].mean(1), np.ones(len(faces), np.bool_)

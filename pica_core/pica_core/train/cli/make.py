@@ -17,10 +17,10 @@ from pica_core.train.export import EVALUATION_FILE
 from pica_core.train.train import CHECKPOINT
 
 STAGE = RenderOptions(frames=128, cameras=8, size="384x384")
-"""What is rendered of a fitted head (measured: docs/own-head.md)."""
+"""What is rendered of a fitted head (chosen: half of what the people that ship had)."""
 LICENCE = "of the person shown; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 MINUTES = {"fit": 0.5, "capture": 5.0, "train": 6.0, "export": 2.0}
-"""What the steps take on two quiet cores (measured: docs/own-head.md)."""
+"""What the steps take on two quiet cores (estimated from those of the people that ship)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
