@@ -7,6 +7,7 @@ import pytest
 
 from golden.stream_vectors import GOLDEN, LATENT_UNIT, read_profile, units_hash
 from helpers.page import Handle, Page, PageError
+from helpers.stream_toy import toy_faces
 from pica_core.codec.latent_stream import LatentEncoder
 from pica_core.codec.profile import NUM_TABLES, coefficient_frequencies
 
@@ -60,8 +61,11 @@ def test_all_tables_are_those_of_python(page: Page) -> None:
 def test_faces_are_written_as_python_writes_them(page: Page, profile: Handle) -> None:
     encoder = LatentEncoder(read_profile(VECTORS))
     rng = np.random.default_rng(3)
-    for scale in (0.0, 0.3, 3.0, 200.0):
-        latent = (scale * rng.standard_normal((8, 8, 4))).astype(np.float32)
+    wild = [scale * rng.standard_normal((8, 8, 4)) for scale in (0.0, 0.3, 3.0, 200.0)]
+    for scale, values in zip(
+        (0.0, 0.3, 3.0, 200.0, *[0.1] * 30), (*wild, *toy_faces(5, 30)), strict=True
+    ):
+        latent = values.astype(np.float32)
         rotation, translation = (scale * rng.standard_normal((2, 3))).astype(np.float32)
         encoder.restart()
         expected = encoder.encode(latent, rotation, translation, 0)
