@@ -75,7 +75,7 @@ def make(name: str, place: Path) -> None:
     words = ["--run", str(run), *of, file, "--licence", LICENCE, "--threads", "1"]
     pica("export", *words, "--name", name.title())
     fit_size(Path(file))
-    pica("avatar", "verify", file)
+    pica("avatar", "info", file)
     draw_portrait(Path(file))
 
 
