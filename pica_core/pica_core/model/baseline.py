@@ -29,7 +29,7 @@ from torch.nn import functional
 from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec, ModelCost
 from pica_core.model import interface
 from pica_core.model.interface import ModelOptions
-from pica_core.model.networks import Untied, resize_texture, sample_map, sample_per_image
+from pica_core.model.networks import Untied, resize_texture, sample_map
 from pica_core.reference import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
 from pica_core.types import NUM_LATENT
 
@@ -213,7 +213,7 @@ class DeepAppearanceModel(interface.AvatarModel):
 
     def shade(self, appearance: Tensor, surface: interface.Surface) -> Tensor:
         """Colours by lookup in the texture."""
-        return sample_per_image(appearance, surface)
+        return sample_map(appearance, surface.uv)
 
     @property
     def cost(self) -> ModelCost:

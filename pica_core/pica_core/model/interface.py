@@ -32,15 +32,13 @@ ParameterGroups = dict[GroupName, list[nn.Parameter]]
 
 
 class Surface(NamedTuple):
-    """What rasterisation finds at P pixels of N images.
+    """What rasterisation finds at K pixels of each of N images.
 
     Attributes:
-        image: Which image a pixel belongs to, ascending, int64 ``[P]``.
-        uv: Surface coordinates, ``[P, 2]``.
-        xyz_m: Head-frame positions in metres, ``[P, 3]``.
+        uv: Surface coordinates, ``[N, K, 2]``.
+        xyz_m: Head-frame positions in metres, ``[N, K, 3]``.
     """
 
-    image: Tensor
     uv: Tensor
     xyz_m: Tensor
 
@@ -246,14 +244,14 @@ class AvatarModel(nn.Module, ABC):
 
     @abstractmethod
     def shade(self, appearance: Tensor, surface: Surface) -> Tensor:
-        """Colours of the pixels of `surface`: sRGB, 1.0 is 255, not clamped, ``[P, 3]``.
+        """Colours of the pixels of `surface`: sRGB, 1.0 is 255, not clamped, ``[N, K, 3]``.
 
         No gradient goes from the colour to the geometry through a pixel decoder's xyz input, for
         stable training (paper A.3); the other path, through rasterisation to uv, stays open.
 
         Args:
             appearance: From `appearance`, of all images.
-            surface: Pixels sorted by image.
+            surface: The pixels.
         """
 
     @property

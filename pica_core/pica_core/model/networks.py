@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec, Layer, decoder_layers
-from pica_core.model.interface import LatentEncoder, Surface
+from pica_core.model.interface import LatentEncoder
 from pica_core.types import LATENT_CHANNELS, LATENT_SIZE
 
 
@@ -105,16 +105,6 @@ def sample_map(values: Tensor, uv: Tensor) -> Tensor:
         values, 2 * uv[:, None] - 1, mode="bilinear", padding_mode="border", align_corners=False
     )
     return sampled[:, :, 0].transpose(1, 2)
-
-
-def sample_per_image(maps: Tensor, surface: Surface) -> Tensor:
-    """Look every pixel of a surface, sorted by image, up in the map of its own image.
-
-    Maps are ``[N, C, H, W]``, what is found ``[P, C]``.
-    """
-    counts = torch.bincount(surface.image, minlength=len(maps))
-    parts = torch.split(surface.uv, counts.tolist())
-    return torch.cat([sample_map(maps[index : index + 1], uv)[0] for index, uv in enumerate(parts)])
 
 
 MAX_LOG_VARIANCE = 4.0

@@ -6,6 +6,7 @@ the dense one's vertices, or all. The best meshes there are: exact ones; without
 ones.
 """
 
+import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 from pica_core.model.networks import resize_texture, sample_map
 from pica_core.train.config import MeshSource
-from pica_core.train.raster import Rasteriser
+from pica_core.train.raster import GLRasteriser, Views
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Image, Int64Array, IntArray
 
 TEXEL_TOLERANCE = 1e-2
@@ -72,8 +73,9 @@ def rasterise_uv(vertex_uv: FloatArray, faces: IntArray, size: int) -> UvRaster:
         height=size,
     )
     both_sides = np.concatenate([faces, faces[:, ::-1]])
-    with Rasteriser(both_sides, len(flat)) as rasteriser:
-        ids = rasteriser.triangle_ids(flat[None], [camera])[0]
+    with GLRasteriser(both_sides, len(flat)) as rasteriser:
+        found = rasteriser.triangles(torch.from_numpy(flat)[None], Views.of([camera]))
+    ids = found.view(size, size).numpy()
     covered = ids >= 0
     corners = np.zeros((size, size, 3), np.int64)
     corners[covered] = both_sides[ids[covered]]
@@ -189,18 +191,18 @@ class CaptureMeshes:
         found = sample_map(values.permute(2, 0, 1)[None], uv)[0]
         return found.contiguous().numpy()
 
-    def position_maps(self, frames: list[int]) -> Tensor:
-        """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
-        ``[N, 3, S, S]``; of the meshes that `source` names."""
-        maps = np.stack([self._map(frame, self.source) for frame in frames])
-        return torch.from_numpy(maps).permute(0, 3, 1, 2).contiguous()
+    def position_map(self, frame: int) -> Tensor:
+        """What encoders see of a frame's shape: offsets from the mean, in position scales, as a map
+        ``[3, S, S]``; of the mesh that `source` names."""
+        return self._map(frame, self.source)
 
-    def _map_of(self, frame: int, source: MeshSource) -> FloatArray:
+    def _map_of(self, frame: int, source: MeshSource) -> Tensor:
         if source == "tracked":
             offset, raster = self.tracked_m[frame] - self.tracked_mean_m, self._tracked_raster
         else:
             offset, raster = self.dense_m[frame] - self.dense_mean_m, self.uv_raster
-        return raster.position_map(offset / self.position_scale_m)
+        found = raster.position_map(offset / self.position_scale_m)
+        return torch.from_numpy(found).permute(2, 0, 1).contiguous()
 
 
 def important_vertices(topology: Topology) -> BoolArray:
@@ -243,7 +245,7 @@ def rarity(offsets_m: FloatArray, regions: dict[str, BoolArray]) -> Float64Array
 
 IMAGE_CACHE_BYTES = 4 << 30
 """Decoded images and depth kept in memory; the least recently used go first."""
-DECODERS = 2
+DECODERS = min(16, os.cpu_count() or 2)
 """Threads that decode them, also before they are needed."""
 MAX_TEXTURES = 2048
 """The same of textures as tensors: 0.8 MB each at 256 x 256."""
@@ -282,9 +284,9 @@ class ImageCache:
             return np.zeros((unknown.height, unknown.width), np.float32)
         return self._depth(frame, camera).result()
 
-    def textures(self, frames: list[int], size: int) -> Tensor:
-        """Average textures of frames, about [-1, 1], ``[N, 3, size, size]``."""
-        return torch.stack([self._texture(frame, size) for frame in frames])
+    def texture(self, frame: int, size: int) -> Tensor:
+        """The average texture of a frame, about [-1, 1], ``[3, size, size]``."""
+        return self._texture(frame, size)
 
     def cameras_of(self, frame: int) -> tuple[str, ...]:
         """Cameras that have an image of a frame."""
@@ -415,7 +417,7 @@ def linear_prior(data: TrainingData) -> LinearPrior:
     weights = both.weights_of(np.concatenate([dense_m, tracked_m], 1))
     uv = data.capture.topology.vertex_uv
     dense = both.select(np.arange(num_dense, dtype=np.int32))
-    maps = np.stack([meshes.position_maps([frame])[0].flatten(1).numpy() for frame in frames])
+    maps = np.stack([meshes.position_map(frame).flatten(1).numpy() for frame in frames])
     covered = np.flatnonzero(maps.any((0, 1)))
     texels = np.sort(np.random.default_rng(0).permutation(covered)[:READ_TEXELS])
     read = maps[:, :, texels].reshape(len(frames), -1).astype(np.float64)

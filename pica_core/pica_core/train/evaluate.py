@@ -18,9 +18,10 @@ from torch import Tensor
 from pica_core.camera import Camera
 from pica_core.errors import CaptureError
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.interface import AvatarModel, Surface
+from pica_core.model.interface import AvatarModel
 from pica_core.train.data import TrainingData, spaced, view_direction
-from pica_core.train.raster import MeshDrawer, Rasteriser
+from pica_core.train.pixels import MeshDrawer
+from pica_core.train.raster import Rasteriser, Views
 from pica_core.train.train import Trainer
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array, FloatArray, Int64Array
 
@@ -137,8 +138,8 @@ class ModelEvaluator:
         topology = data.meshes.topology(model.topology)
         self.data = data
         self.model = model
-        self._drawer = MeshDrawer(rasteriser, topology)
         self._device = next(model.parameters()).device
+        self._drawer = MeshDrawer(rasteriser, topology, device=self._device)
 
     @torch.no_grad()
     def latent(self, frame: int, source: Source) -> Tensor:
@@ -148,9 +149,11 @@ class ModelEvaluator:
                 self.data.arkit[[frame]].to(self._device)
             )
             return driven
-        texture = self.data.images.textures([frame], self.model.encoder.texture_size)
-        maps = self.data.meshes.position_maps([frame])
-        mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
+        texture = self.data.images.texture(frame, self.model.encoder.texture_size)
+        given = [
+            each[None].to(self._device) for each in (texture, self.data.meshes.position_map(frame))
+        ]
+        mean: Tensor = self.model.encoder(*given)[0]
         return mean
 
     @torch.no_grad()
@@ -177,13 +180,11 @@ class ModelEvaluator:
         found_m = torch.from_numpy(self.vertices_m(latent) if vertices_m is None else vertices_m)
         direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
         appearance = self.model.appearance(latent, direction)
-        drawn = self._drawer.draw(found_m[None], [camera])
-        if not len(drawn.pixels):
-            return Picture(drawn.pixels, np.zeros((0, 3), np.float32))
-        surface = Surface(*(values.to(self._device) for values in drawn.surface))
-        colours = self.model.shade(appearance, surface)
+        found_m = found_m[None].to(self._device)
+        drawn = self._drawer.draw(found_m, Views.of([camera], found_m))
+        colours = self.model.shade(appearance, drawn.surface)[drawn.is_drawn]
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
-        return Picture(drawn.pixels, shown.astype(np.float32))
+        return Picture(drawn.pixels[drawn.is_drawn].cpu().numpy(), shown.astype(np.float32))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

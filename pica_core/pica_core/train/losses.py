@@ -25,6 +25,8 @@ that was sampled from a tracked one has triangles of no area where the tracked o
 (inside the mouth), and obtuse triangles have negative cotangents, whose rows may add up to nothing.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -42,85 +44,77 @@ _LEAST_SQUARE = 1e-12
 """Keeps the root of a mean square differentiable where everything is smooth, square mm."""
 
 
-def equal_shares(
-    image: Tensor,
-    num_images: int,
-    mask: Tensor | None = None,
-    *,
-    dtype: torch.dtype = torch.float32,
-) -> Tensor:
-    """Weights of pixels, ``[P]``, by which each image's pixels add up to 1 / N.
-
-    Args:
-        image: Which image each pixel is of, int64 ``[P]``.
-        mask: Pixels that count, bool ``[P]``; all without it. An image without any adds up to 0.
-    """
-    counted = torch.ones_like(image, dtype=dtype) if mask is None else mask.to(dtype)
-    counts = counted.new_zeros(num_images).index_add(0, image, counted)
-    return counted / (num_images * counts.clamp_min(1))[image]
+def equal_shares(mask: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Weights of the pixels that count, ``[N, K]``, by which each image's add up to 1 / N; an image
+    without any adds up to 0."""
+    counted = mask.to(dtype)
+    return counted / (len(mask) * counted.sum(1, keepdim=True).clamp_min(1))
 
 
 def image_loss(predicted: Tensor, observed: Tensor, share: Tensor, chroma: float = 0.0) -> Tensor:
-    """Mean squared difference of colours ``[P, 3]``, where 1.0 is 255 of 8-bit sRGB.
+    """Mean squared difference of colours ``[N, K, 3]``, where 1.0 is 255 of 8-bit sRGB.
 
     Args:
-        share: From `equal_shares`, ``[P]``.
+        share: From `equal_shares`, ``[N, K]``.
         chroma: How much more what is left of the difference counts when that of the luma (ITU-R
             BT.601) is taken off.
     """
     difference = predicted - observed
-    luma = torch.matmul(difference, difference.new_tensor(LUMA))[:, None]
+    red, green, blue = (
+        weight * part for weight, part in zip(LUMA, difference.unbind(-1), strict=True)
+    )
+    luma = (red + green + blue)[..., None]
     squares = difference.square() + chroma * (difference - luma).square()
-    return (squares.mean(1) * share).sum()
+    return (squares.mean(-1) * share).sum()
 
 
 def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_LIMIT_M) -> Tensor:
-    """Where depth is known and within the limit: the paper's W_D. bool ``[P]``.
+    """Where depth is known and within the limit: the paper's W_D. bool ``[N, K]``.
 
     Args:
-        predicted_m: Depth of the decoded mesh along the camera's axis, metres, ``[P]``.
-        observed_m: Measured depth, metres, 0 where unknown, ``[P]``.
+        predicted_m: Depth of the decoded mesh along the camera's axis, metres, ``[N, K]``.
+        observed_m: Measured depth, metres, 0 where unknown, ``[N, K]``.
     """
     return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < limit_m)
 
 
 def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Tensor) -> Tensor:
-    """Mean absolute depth error, millimetres, over P pixels of known depth.
+    """Mean absolute depth error, millimetres, over pixels of known depth.
 
     Pixels outside `mask` count as 0: the more of them, the weaker the loss. 0 where nothing is
     known.
 
     Args:
-        mask: From `depth_mask`, ``[P]``.
-        share: From `equal_shares` of the pixels with known depth, ``[P]``.
+        mask: From `depth_mask`, ``[N, K]``.
+        share: From `equal_shares` of the pixels with known depth, ``[N, K]``.
     """
     error = (predicted_m - observed_m).abs() * MILLIMETRES
     return (torch.where(mask, error, torch.zeros_like(error)) * share).sum()
 
 
 def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
-    """Unit normals of a depth image by forward differences, towards the camera, ``[P, 3]``; the
+    """Unit normals of a depth image by forward differences, towards the camera, ``[N, K, 3]``; the
     zero vector where the three points lie on a line.
 
     Args:
-        points: Surface points of P pixels in camera axes (x right, y down, z forward), ``[P, 3]``.
-        right: The same of each pixel's right neighbour, ``[P, 3]``.
-        below: The same of the neighbour below, ``[P, 3]``.
+        points: Surface points in camera axes (x right, y down, z forward), ``[N, K, 3]``.
+        right: The same of each pixel's right neighbour, ``[N, K, 3]``.
+        below: The same of the neighbour below, ``[N, K, 3]``.
     """
     normals = torch.linalg.cross(below - points, right - points)
     # Points are metres apart by fractions of a millimetre: keep the smallest useful area.
-    unit: Tensor = normals / (normals.square().sum(1, keepdim=True) + 1e-24).sqrt()
+    unit: Tensor = normals / (normals.square().sum(-1, keepdim=True) + 1e-24).sqrt()
     return unit
 
 
 def normal_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:
-    """Mean squared distance of unit normals ``[P, 3]``, 0 to 4.
+    """Mean squared distance of unit normals ``[N, K, 3]``, 0 to 4.
 
     Args:
         share: From `equal_shares` of the pixels whose own depth and neighbours' depths pass
-            `depth_mask`, ``[P]``.
+            `depth_mask`, ``[N, K]``.
     """
-    return ((predicted - observed).square().sum(1) * share).sum()
+    return ((predicted - observed).square().sum(-1) * share).sum()
 
 
 def mesh_loss(predicted_m: Tensor, tracked_m: Tensor, weights: Tensor) -> Tensor:
@@ -206,10 +200,23 @@ def smoothness_weights(topology: Topology) -> FloatArray:
     return topology.by_region(ROUGH_WEIGHTS, PLAIN_WEIGHT).astype(np.float32)
 
 
+class Laplacian(NamedTuple):
+    """L as directed edges (i, j), sorted, int64 ``[E]`` each, and w_ij / sum_j w_ij, ``[E]``."""
+
+    first: Tensor
+    second: Tensor
+    weights: Tensor
+
+    def of(self, values: Tensor) -> Tensor:
+        """L x of ``[V, C]``; 0 of a vertex without neighbours."""
+        difference = values.index_select(0, self.first) - values.index_select(0, self.second)
+        return torch.zeros_like(values).index_add(0, self.first, difference * self.weights[:, None])
+
+
 def mesh_laplacian(
     vertices_m: npt.ArrayLike, faces: npt.NDArray[np.integer], like: Tensor
-) -> Tensor:
-    """L as a sparse matrix ``[V, V]``; the row of a vertex without neighbours is 0.
+) -> Laplacian:
+    """L of a mesh.
 
     Args:
         vertices_m: The coarse neutral mesh at the vertices of the mesh that is drawn, ``[V, 3]``.
@@ -217,34 +224,25 @@ def mesh_laplacian(
         like: Gives type and device.
     """
     edges, weights = cotangent_weights(vertices_m, faces)
-    count = len(np.asarray(vertices_m))
-    sums = np.bincount(edges[:, 0], weights, count)
-    connected = np.flatnonzero(sums > 0)
-    places = np.concatenate([np.stack([connected, connected], 1), edges]).T
-    values = np.concatenate([np.ones(len(connected)), -weights / sums[edges[:, 0]]])
-    return torch.sparse_coo_tensor(
-        torch.from_numpy(np.ascontiguousarray(places)),
-        torch.from_numpy(values).to(like),
-        (count, count),
-        device=like.device,
-        check_invariants=False,
-    ).coalesce()
+    sums = np.bincount(edges[:, 0], weights)
+    first, second = (torch.from_numpy(end.copy()).to(like.device) for end in edges.T)
+    return Laplacian(first, second, torch.from_numpy(weights / sums[edges[:, 0]]).to(like))
 
 
 def laplacian_smoothness(
-    laplacian: Tensor, vertices_m: Tensor, mean_m: Tensor, weights: Tensor
+    laplacian: Laplacian, vertices_m: Tensor, mean_m: Tensor, weights: Tensor
 ) -> Tensor:
     """Root mean square of W_L L (S(G) - V_mu) of each mesh, averaged over meshes, millimetres.
 
     Args:
-        laplacian: L, ``[V, V]``.
+        laplacian: L.
         vertices_m: S(G), the decoded meshes, metres, ``[N, V, 3]``.
         mean_m: V_mu, metres, ``[V, 3]``; no gradient goes there.
         weights: W_L, ``[V]``.
     """
     offset_mm = (vertices_m - mean_m.detach()) * MILLIMETRES
     flat = offset_mm.transpose(0, 1).flatten(1)
-    rough = torch.sparse.mm(laplacian, flat) * weights[:, None]
+    rough = laplacian.of(flat) * weights[:, None]
     return mean_norm(rough.view(len(weights), -1, 3).transpose(0, 1))
 
 

@@ -8,6 +8,7 @@ live        image, of poses by the live encoder
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from pica_core.model.networks import hold_log_variance, reparameterise
 from pica_core.train.config import TrainConfig
 from pica_core.train.data import TrainingData, important_vertices, vertex_importance, view_direction
 from pica_core.train.losses import (
+    Laplacian,
     depth_loss,
     depth_mask,
     equal_shares,
@@ -37,8 +39,9 @@ from pica_core.train.losses import (
     normal_loss,
     smoothness_weights,
 )
-from pica_core.train.raster import DrawnPixels, MeshDrawer, Rasteriser
-from pica_core.types import LATENT_CHANNELS, Array, FloatArray, Image, Int64Array
+from pica_core.train.pixels import DrawnPixels, MeshDrawer
+from pica_core.train.raster import Rasteriser, Views
+from pica_core.types import LATENT_CHANNELS, LATENT_SIZE, FloatArray
 
 IMAGE_WEIGHT, MESH_WEIGHT, KL_WEIGHT = 2.0, 0.1, 0.001
 """Weights of losses that all presets share (paper 5); those of depth, normal and smoothness, 10, 1
@@ -62,6 +65,9 @@ GEOMETRY = slice(None, None, LATENT_CHANNELS)
 """The first channel's entries in a flat latent: weights of bases."""
 CHUNK = 64
 """Meshes that are projected at a time."""
+DEVICE_SHARE = 0.4
+"""Part of a GPU's free memory for what is read of the capture; the oldest goes first."""
+Losses = dict[str, Tensor]
 Place = tuple[int, str]
 """Frame and camera of an image."""
 
@@ -70,13 +76,12 @@ class Draw:
     """Everything random in a step, from the run's seed and the step's number."""
 
     def __init__(self, seed: int, step: int) -> None:
-        self._seed = seed, step
-        self.rng = np.random.default_rng(self._seed)
+        self.rng = np.random.default_rng((seed, step))
         self.noise = torch.Generator().manual_seed(seed * 1_000_003 + step)
 
-    def of_images(self, count: int) -> list[np.random.Generator]:
-        """A generator for the choice of pixels in each image."""
-        return [np.random.default_rng([*self._seed, number]) for number in range(count)]
+
+Batch = dict[str, Tensor]
+"""What a step is given, by name: always the same names and shapes for one kind of step."""
 
 
 class Objectives:
@@ -109,6 +114,9 @@ class Objectives:
         if self._wants_depth and not data.capture.has_depth:
             self._wants_depth = False
             self.notes.append("the capture has no depth: depth and normal losses are off")
+        if config.normal and config.pixels_per_image:
+            self.notes.append("some pixels are drawn, and normals need all: the normal loss is off")
+        self._has_dense_loss = data.meshes.source == "truth" and model.topology == "dense"
         topology = data.meshes.topology(model.topology)
         important_faces = important_vertices(topology)[topology.faces].all(1)
         face_weights = np.where(important_faces, config.region_weight, 1.0).astype(np.float32)
@@ -116,12 +124,18 @@ class Objectives:
         self._vertex_weights = self._mesh_weights().to(device)
         neutral_m = data.meshes.neutral_m(model.topology, data.arkit)
         self.mean_m = torch.tensor(neutral_m, device=device)
-        self._laplacian: Tensor | None = None
+        self._laplacian: Laplacian | None = None
         if config.smooth:
             self._laplacian = mesh_laplacian(neutral_m, topology.faces, self.mean_m)
             self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
         self._poses: Poses | None = None
+        self._on_device: dict[tuple[str, Any], Tensor] = {}
+        self._most_on_device = 0
+        if device.type != "cpu":
+            pixels = max(camera.width * camera.height for camera in data.capture.cameras)
+            largest = 4 * max(pixels, 3 * model.encoder.texture_size**2)
+            self._most_on_device = int(DEVICE_SHARE * torch.cuda.mem_get_info(device)[0]) // largest
         folder = data.capture.path
         if isinstance(getattr(model, "geometry", None), LinearGeometry):
             self._poses = read_poses(folder, len(data.capture.topology.vertex_uv))
@@ -132,55 +146,128 @@ class Objectives:
         """Whether `live` has something to learn from."""
         return self._poses is not None and bool(self._poses.cameras)
 
-    def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
-        """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        size = self.model.encoder.texture_size
-        textures = self.data.images.textures(frames, size).to(self.device)
-        maps = self.data.meshes.position_maps(frames).to(self.device)
-        mean, log_variance = self.model.encoder(textures, maps)
-        return mean, hold_log_variance(log_variance)
-
-    def geometry(self, draw: Draw) -> dict[str, Tensor]:
-        """Losses of a step without images."""
-        frames = self._draw(GEOMETRY_BATCH, draw)
-        latent, kl = self._latent(frames, draw)
-        mesh = self.model.decode_mesh(latent)
-        return {"mesh": self._mesh(mesh, frames), **self._priors(mesh, kl)}
-
-    def joint(self, draw: Draw) -> dict[str, Tensor]:
-        """Losses of a step with images (paper 5)."""
-        images = self._draw_images(draw)
-        rngs = draw.of_images(len(images))
-        frames = [frame for frame, _ in images]
-        cameras = [self.data.images.camera(frame, name) for frame, name in images]
-        latent, kl = self._latent(frames, draw)
-        mesh = self.model.decode_mesh(latent)
-        wants_normals = self.config.normal > 0 and self._wants_depth
-        drawn, colours = self._shaded(latent, mesh, cameras, rngs, normals=wants_normals)
-        pictures = [self.data.images.image(frame, name) for frame, name in images]
-        losses = {"image": self._image(colours, pictures, drawn)}
-        losses |= self._depth(images, drawn)
-        losses["mesh"] = self._mesh(mesh, frames)
-        losses |= self._priors(mesh, kl)
-        return losses
-
-    def live(self, draw: Draw) -> dict[str, Tensor]:
-        """Losses of the live encoder and the decoders on pictures of poses; geometry stays."""
-        assert self._poses is not None
-        poses = draw.rng.integers(len(self._poses.arkit), size=LIVE_BATCH).tolist()
-        rngs = draw.of_images(LIVE_BATCH)
-        cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
-        pictures = [self._picture(pose) for pose in poses]
-        arkit = torch.from_numpy(self._poses.arkit[poses]).to(self.device)
-        latent = self.model.expression_encoder(arkit)
-        latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
-        mesh = self.model.decode_mesh(latent)
-        drawn, colours = self._shaded(latent, mesh, cameras, rngs, share=2)
-        return {"live": self._image(colours, pictures, drawn)}
+    def prepare(self, kind: str, draw: Draw) -> Batch:
+        """What a step of a kind, one of `LOSSES`, is given; nothing in it depends on weights but in
+        a driver step."""
+        match kind:
+            case "geometry":
+                return self._of_frames(self._draw(GEOMETRY_BATCH, draw), draw)
+            case "joint":
+                return self._of_images(self._draw_images(draw), draw)
+            case "live":
+                return self._of_poses(draw)
+            case _:
+                return self._of_codes(self._draw(DRIVER_BATCH, draw))
 
     def expect(self, draw: Draw) -> None:
         """Have the images decoded that a joint step with this draw will need."""
         self.data.images.expect(self._draw_images(draw), depth=self._wants_depth)
+
+    def encode(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
+        mean, log_variance = self.model.encoder(batch["textures"], batch["maps"])
+        return mean, hold_log_variance(log_variance)
+
+    def geometry(self, batch: Batch) -> Losses:
+        """Losses of a step without images."""
+        latent, kl = self._latent(batch)
+        mesh = self.model.decode_mesh(latent)
+        return {"mesh": self._mesh(mesh, batch), **self._priors(mesh, kl)}
+
+    def joint(self, batch: Batch) -> Losses:
+        """Losses of a step with images (paper 5)."""
+        latent, kl = self._latent(batch)
+        mesh = self.model.decode_mesh(latent)
+        drawn, colours = self._shaded(latent, mesh, batch)
+        losses = {"image": self._image(colours, batch, drawn)}
+        losses |= self._depth(batch, drawn)
+        losses["mesh"] = self._mesh(mesh, batch)
+        losses |= self._priors(mesh, kl)
+        return losses
+
+    def live(self, batch: Batch) -> Losses:
+        """Losses of the live encoder and the decoders on pictures of poses; geometry stays."""
+        latent = self.model.expression_encoder(batch["arkit"])
+        latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
+        mesh = self.model.decode_mesh(latent)
+        drawn, colours = self._shaded(latent, mesh, batch, share=2)
+        return {"live": self._image(colours, batch, drawn)}
+
+    def driver(self, batch: Batch) -> Losses:
+        """Losses of the live encoder, on the codes of the model's own."""
+        latent = self.model.expression_encoder(batch["arkit"])
+        mesh = self.model.decode_mesh(latent[::DRIVER_MESHES])
+        off = (latent - batch["codes"]) / batch["spread"]
+        return {"code": off.square().mean(), "mesh": self._mesh(mesh, batch)}
+
+    def _of_frames(self, frames: list[int], draw: Draw) -> Batch:
+        noise = torch.randn(
+            len(frames), LATENT_CHANNELS, LATENT_SIZE, LATENT_SIZE, generator=draw.noise
+        )
+        return {**self._given(frames), "mesh": self._meshes(frames), "noise": noise}
+
+    def _given(self, frames: list[int]) -> Batch:
+        """What the encoder is given of frames."""
+        size = self.model.encoder.texture_size
+        images, meshes = self.data.images, self.data.meshes
+        return {
+            "textures": self._held(lambda f: images.texture(f, size), "texture", frames),
+            "maps": self._held(meshes.position_map, "map", frames),
+        }
+
+    def _of_images(self, places: list[Place], draw: Draw) -> Batch:
+        images, frames = self.data.images, [frame for frame, _ in places]
+        batch = self._of_frames(frames, draw)
+        batch["pictures"] = self._held(lambda place: images.image(*place), "image", places)
+        if self._wants_depth:
+            batch["depths"] = self._held(lambda place: images.depth_m(*place), "depth", places)
+        cameras = [images.camera(*place) for place in places]
+        return batch | self._seen(cameras, draw)
+
+    def _of_poses(self, draw: Draw) -> Batch:
+        assert self._poses is not None
+        poses = draw.rng.integers(len(self._poses.arkit), size=LIVE_BATCH).tolist()
+        cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
+        return {
+            "arkit": torch.from_numpy(self._poses.arkit[poses]),
+            "pictures": self._held(self._picture, "pose", poses),
+            **self._seen(cameras, draw),
+        }
+
+    def _of_codes(self, frames: list[int]) -> Batch:
+        codes, spread = self._model_codes()
+        return {
+            "arkit": self.data.arkit[frames],
+            "codes": torch.stack([codes[frame] for frame in frames]),
+            "spread": spread,
+            "mesh": self._meshes(frames[::DRIVER_MESHES]),
+        }
+
+    def _seen(self, cameras: list[Camera], draw: Draw) -> Batch:
+        """Cameras, and what chooses pixels of their images."""
+        views = Views.of(cameras)._asdict()
+        batch = {name: values for name, values in views.items() if isinstance(values, Tensor)}
+        batch["directions"] = torch.from_numpy(np.stack([view_direction(c) for c in cameras]))
+        if self.config.pixels_per_image:
+            size = cameras[0].width * cameras[0].height
+            batch["shift"] = torch.from_numpy(draw.rng.integers(size, size=len(cameras)))
+        return batch
+
+    def _meshes(self, frames: list[int]) -> Tensor:
+        """The meshes that the mesh loss compares with."""
+        name: TopologyName = "dense" if self._has_dense_loss else "tracked"
+        return self._held(lambda frame: self.data.meshes.best(frame, name), name, frames)
+
+    def _held(self, read: Callable[[Any], Any], what: str, keys: Sequence[Any]) -> Tensor:
+        """What is read of each key, as one tensor, kept on a GPU if that is where the model is."""
+        if self.device.type == "cpu":
+            return torch.stack([torch.as_tensor(read(key)) for key in keys])
+        for key in keys:
+            if (what, key) not in self._on_device:
+                if len(self._on_device) >= self._most_on_device:
+                    self._on_device.pop(next(iter(self._on_device)))
+                self._on_device[what, key] = torch.as_tensor(read(key)).to(self.device)
+        return torch.stack([self._on_device[what, key] for key in keys])
 
     def _draw_images(self, draw: Draw) -> list[Place]:
         """The images of a joint batch."""
@@ -191,19 +278,6 @@ class Objectives:
             names = self.data.images.cameras_of(frame)
             images.append((frame, names[int(place * len(names))]))
         return images
-
-    def driver(self, draw: Draw) -> dict[str, Tensor]:
-        """Losses of the live encoder, on the codes of the model's own."""
-        codes, spread = self._model_codes()
-        frames = self._draw(DRIVER_BATCH, draw)
-        latent = self.model.expression_encoder(self.data.arkit[frames].to(self.device))
-        wanted = torch.stack([codes[frame] for frame in frames])
-        few = slice(None, None, DRIVER_MESHES)
-        mesh = self.model.decode_mesh(latent[few])
-        return {
-            "code": ((latent - wanted) / spread).square().mean(),
-            "mesh": self._mesh(mesh, frames[few]),
-        }
 
     def start_driver(self) -> None:
         """Begin the live encoder as the ridge regression from expressions, and what of them bends,
@@ -220,48 +294,36 @@ class Objectives:
         self.model.expression_encoder.start_from(matrix.float(), offset.float())
 
     def _shaded(
-        self,
-        latent: Tensor,
-        mesh: DecodedMesh,
-        cameras: list[Camera],
-        rngs: list[np.random.Generator],
-        *,
-        normals: bool = False,
-        share: int = 1,
+        self, latent: Tensor, mesh: DecodedMesh, batch: Batch, *, share: int = 1
     ) -> tuple[DrawnPixels, Tensor]:
-        """Pixels of meshes through cameras, a generator's choice in each image: 1 / `share` of the
-        usual number; and the model's colours of them."""
-        view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
-        appearance = self.model.appearance(latent, view.to(self.device))
+        """Pixels of meshes through a batch's cameras, 1 / `share` of the usual number, and the
+        model's colours of them."""
+        appearance = self.model.appearance(latent, batch["directions"])
+        height, width = batch["pictures"].shape[1:3]
+        tensors = (batch[name] for name in ("rotation", "translation_m", "inverse", "clip"))
+        rotation, translation_m, inverse, clip = tensors
+        views = Views(rotation, translation_m, inverse, clip, width, height)
         drawn = self.drawer.draw(
             mesh.vertices_m,
-            cameras,
-            rngs,
-            pixels_per_image=self.config.pixels_per_image // share,
-            normals=normals,
+            views,
+            count=self.config.pixels_per_image // share,
+            shift=batch.get("shift"),
         )
         return drawn, self.model.shade(appearance, drawn.surface)
 
-    def _image(self, colours: Tensor, pictures: list[Image], drawn: DrawnPixels) -> Tensor:
+    def _image(self, colours: Tensor, batch: Batch, drawn: DrawnPixels) -> Tensor:
         """The image loss against one picture for each image of a batch."""
-        observed = self._at(pictures, drawn.pixels).to(torch.float32) / 255
-        share = equal_shares(drawn.surface.image, len(pictures))
+        observed = drawn.of(batch["pictures"]).to(torch.float32) / 255
+        share = equal_shares(drawn.is_drawn)
         return IMAGE_WEIGHT * image_loss(colours, observed, share, self.config.chroma)
-
-    def _at(self, images: Sequence[Array], pixels: Int64Array) -> Tensor:
-        """What images ``[H, W, ...]`` hold at pixels that are counted over all, ``[P, ...]``."""
-        flat = np.stack(images).reshape(-1, *images[0].shape[2:])
-        return torch.from_numpy(flat[pixels]).to(self.device)
 
     def _draw(self, count: int, draw: Draw) -> list[int]:
         """The frames of a batch."""
         return self.data.draw(count, self.config.frame_balance, draw.rng)
 
-    def _latent(self, frames: list[int], draw: Draw) -> tuple[Tensor, Tensor]:
-        mean, log_variance = self.encode(frames)
-        drawn = torch.randn(mean.shape, generator=draw.noise)
-        sample = reparameterise(mean, log_variance, drawn.to(self.device))
-        return sample, kl_loss(mean, log_variance)
+    def _latent(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        mean, log_variance = self.encode(batch)
+        return reparameterise(mean, log_variance, batch["noise"]), kl_loss(mean, log_variance)
 
     def _mesh_weights(self) -> Tensor:
         """Importance of vertices in the mesh loss."""
@@ -273,14 +335,9 @@ class Objectives:
             weights = tracked.by_region({MASKED_REGION: 0.0}, 1.0).astype(np.float32)
         return torch.from_numpy(weights)
 
-    def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
-        meshes = self.data.meshes
-        is_dense = meshes.source == "truth" and self.model.topology == "dense"
-        predicted = mesh.vertices_m if is_dense else mesh.tracked_m
-        name: TopologyName = "dense" if is_dense else "tracked"
-        wanted = torch.from_numpy(np.stack([meshes.best(frame, name) for frame in frames]))
-        loss = mesh_loss(predicted, wanted.to(self.device), self._vertex_weights)
-        return MESH_WEIGHT * loss
+    def _mesh(self, mesh: DecodedMesh, batch: Batch) -> Tensor:
+        predicted = mesh.vertices_m if self._has_dense_loss else mesh.tracked_m
+        return MESH_WEIGHT * mesh_loss(predicted, batch["mesh"], self._vertex_weights)
 
     def _priors(self, mesh: DecodedMesh, kl: Tensor) -> dict[str, Tensor]:
         """KL, and smoothness; V_mu takes its step."""
@@ -297,21 +354,20 @@ class Objectives:
         losses["smooth"] = self.config.smooth * smooth
         return losses
 
-    def _depth(self, images: list[Place], drawn: DrawnPixels) -> dict[str, Tensor]:
+    def _depth(self, batch: Batch, drawn: DrawnPixels) -> Losses:
         weights = self.config
         if not self._wants_depth:
             return {}
-        depths_m = [self.data.images.depth_m(frame, name) for frame, name in images]
-        observed_m = self._at(depths_m, drawn.depth_pixels)
+        observed_m = torch.where(drawn.is_drawn, drawn.of(batch["depths"]), 0)
         mask = depth_mask(drawn.depth_m, observed_m)
         losses = {}
         if weights.depth:
-            share = equal_shares(drawn.depth_image, len(images), observed_m > 0)
+            share = equal_shares(observed_m > 0)
             loss = depth_loss(drawn.depth_m, observed_m, mask, share)
             losses["depth"] = weights.depth * loss
-        if weights.normal:
-            known = mask[drawn.centre] & mask[drawn.right] & mask[drawn.below]
-            share = equal_shares(drawn.depth_image[drawn.centre], len(images), known)
+        if weights.normal and not weights.pixels_per_image:
+            right, below = drawn.beside(mask)
+            share = equal_shares(mask & right & below)
             predicted, observed = drawn.normals(drawn.depth_m), drawn.normals(observed_m)
             losses["normal"] = weights.normal * normal_loss(predicted, observed, share)
         return losses
@@ -321,14 +377,14 @@ class Objectives:
         if self._codes is None:
             frames = self.data.train_frames
             with torch.no_grad():
-                means = [self.encode(frames[i : i + 16])[0] for i in range(0, len(frames), 16)]
-            codes = torch.cat(means)
+                parts = [frames[i : i + 16] for i in range(0, len(frames), 16)]
+                codes = torch.cat([self.encode(self._given(part))[0] for part in parts])
             by_frame = dict(zip(frames, codes, strict=True))
             self._codes = by_frame, codes.std().clamp_min(1e-6)
         return self._codes
 
 
-LOSSES: dict[str, Callable[[Objectives, Draw], dict[str, Tensor]]] = {
+LOSSES: dict[str, Callable[[Objectives, Batch], Losses]] = {
     "geometry": Objectives.geometry,
     "joint": Objectives.joint,
     "live": Objectives.live,

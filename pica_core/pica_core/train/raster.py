@@ -1,23 +1,9 @@
-"""Rasterisation for training: GL finds the triangle of each pixel, torch the point on it.
+"""Rasterisation for training: which triangle of a mesh does each pixel centre see?
 
-GL answers the discrete question (which triangle covers this pixel centre?) and torch the smooth
-one (where on that triangle?), so the same code runs on any machine with a GL driver, and gradients
-reach the vertices through the interpolation weights.
-
-The weights are those of the ray through the pixel centre. With the triangle's corners p0, p1, p2
-in camera axes and the ray d, the hit point is w0 p0 + w1 p1 + w2 p2 with
-
-    w0 : w1 : w2  =  d . (p1 x p2)  :  d . (p2 x p0)  :  d . (p0 x p1)
-
-which is perspective-correct by construction and needs no division but the last. What a corner has
-along d does not change the volumes, so they are made of what it lies beside the ray: small numbers,
-whose differences keep their digits. Coverage itself has no gradient.
-
-Ids come back to the CPU once an image, as GL gives them; everything after is torch and follows the
-device of the vertices.
-
-`MeshDrawer` chooses the pixels that a step looks at: from then on everything is a list of P pixels
-of all images together, on the device of the meshes.
+GL answers on the CPU, and `TensorRasteriser` in torch where the meshes are on a GPU: nothing then
+leaves the GPU, and shapes can be held fixed for a CUDA graph. Both give the same triangles but for
+pixels on an edge (one in some thousands), where GL rounds corners to fractions of a pixel. What
+lies on the triangle is `pixels`'s question.
 """
 
 from __future__ import annotations
@@ -25,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 
 import moderngl
 import numpy as np
@@ -37,9 +23,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import GraphicsError, ShapeError
 from pica_core.gl import create_context, link_program
-from pica_core.model.interface import Surface
-from pica_core.train.losses import screen_normals
-from pica_core.types import FloatArray, Int64Array, IntArray
+from pica_core.types import FloatArray, IntArray
 
 # Most wheels of torch bring Triton, which has an LLVM of its own. Mesa's software GL has another;
 # when that comes first, the process dies as soon as torch's first optimiser imports Triton.
@@ -58,12 +42,77 @@ void main() { triangle = float(gl_PrimitiveID + 1); }
 NEAR_M = 0.02
 FAR_M = 20.0
 """Nothing nearer or further is drawn."""
-EDGE_ON = 0.5
-"""A pixel in a triangle has volumes of one sign, so their sum is the sum of their sizes. Where
-rounding leaves no more than this part of it, the triangle is seen edge-on."""
 
 
-class Rasteriser:
+class Views(NamedTuple):
+    """N cameras of one image size as tensors of one dtype on one device.
+
+    Attributes:
+        rotation: Head to camera, ``[N, 3, 3]``.
+        translation_m: ``[N, 3]``.
+        inverse: Of the intrinsics, ``[N, 3, 3]``.
+        clip: From head metres to GL clip space (`Camera.clip_from_world`), ``[N, 4, 4]``.
+        width: Image columns.
+        height: Image rows.
+    """
+
+    rotation: Tensor
+    translation_m: Tensor
+    inverse: Tensor
+    clip: Tensor
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera], like: Tensor | None = None) -> Views:
+        """The cameras with dtype and device of `like`, or as float32 on the CPU.
+
+        Raises:
+            ShapeError: They are of several image sizes.
+        """
+        width, height = cameras[0].width, cameras[0].height
+        if any((camera.width, camera.height) != (width, height) for camera in cameras):
+            raise ShapeError("cameras of several image sizes; a batch needs one")
+
+        def stack(matrices: Sequence[npt.NDArray[np.floating]]) -> Tensor:
+            found = torch.from_numpy(np.stack(matrices))
+            return found.to(torch.float32) if like is None else found.to(like)
+
+        return cls(
+            stack([camera.rotation for camera in cameras]),
+            stack([camera.translation_m for camera in cameras]),
+            stack([np.linalg.inv(camera.intrinsics) for camera in cameras]),
+            stack([camera.clip_from_world(NEAR_M, FAR_M) for camera in cameras]),
+            width,
+            height,
+        )
+
+    def see(self, vertices_m: Tensor) -> Tensor:
+        """Head-frame meshes in their cameras' axes; metres ``[N, V, 3]`` both."""
+        return vertices_m @ self.rotation.mT + self.translation_m[:, None]
+
+    def rays(self, pixels: Tensor) -> Tensor:
+        """Directions through pixel centres in camera axes, z = 1, ``[N, K, 3]``, by flat index
+        (row * W + column), int64 ``[N, K]``."""
+        rows = torch.div(pixels, self.width, rounding_mode="floor")
+        x, y = (pixels - rows * self.width).to(self.inverse) + 0.5, rows.to(self.inverse) + 0.5
+        along_x, along_y, first = self.inverse[:, None].unbind(3)
+        return along_x * x[:, :, None] + along_y * y[:, :, None] + first
+
+    def to_head(self, points_m: Tensor) -> Tensor:
+        """Points in camera axes back in the head frame; metres ``[N, K, 3]`` both."""
+        return (points_m - self.translation_m[:, None]) @ self.rotation
+
+
+class Rasteriser(Protocol):
+    """Finds the triangles of one mesh topology."""
+
+    def triangles(self, vertices_m: Tensor, views: Views) -> Tensor:
+        """The triangle that each pixel centre sees of N meshes in head-frame metres, ``[N, V, 3]``,
+        each through its camera; -1 where none. int32 ``[N, H * W]``, row 0 on top."""
+
+
+class GLRasteriser:
     """One GL context and one mesh topology for a whole run.
 
     Use as a context manager, from one thread. Buffers are reused; a new image or batch size makes a
@@ -102,37 +151,34 @@ class Rasteriser:
             self._context.gc()
         self._context.release()
 
-    def triangle_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-        """The triangle that each pixel centre sees of N meshes in head-frame metres, ``[N, V, 3]``,
-        each through its camera, all of one image size; -1 where none. int32 ``[N, H, W]``, row 0 on
-        top."""
+    def triangles(self, vertices_m: Tensor, views: Views) -> Tensor:
+        """See `Rasteriser`."""
+        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
         with self._context:  # another rasteriser of this thread may have been current
-            self._draw(vertices_m, cameras)
-            assert self._target is not None
-            content = self._target.read(components=1, dtype="f4")
-        size = len(cameras), cameras[0].height, cameras[0].width
-        return np.frombuffer(content, np.float32).reshape(size)[:, ::-1].astype(np.int32) - 1
+            content = self._draw(meshes, views).read(components=1, dtype="f4")
+        size = len(meshes), views.height, views.width
+        found = np.frombuffer(content, np.float32).reshape(size)[:, ::-1].astype(np.int32) - 1
+        return torch.from_numpy(found.reshape(len(meshes), -1)).to(vertices_m.device)
 
-    def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> None:
-        width, height = cameras[0].width, cameras[0].height
-        if any((camera.width, camera.height) != (width, height) for camera in cameras):
-            raise ShapeError("cameras of several image sizes; a batch needs one")
-        target = self._framebuffer(width, height * len(cameras))
+    def _draw(self, meshes: FloatArray, views: Views) -> moderngl.Framebuffer:
+        width, height = views.width, views.height
+        target = self._framebuffer(width, height * len(meshes))
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0)
-        while len(self._meshes) < len(cameras):
+        matrices = views.clip.to("cpu", torch.float32).mT.contiguous().numpy()
+        while len(self._meshes) < len(meshes):
             positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
             content = [(positions, "3f", "position_m")]
             mesh = self._context.vertex_array(self._program, content, index_buffer=self._indices)
             self._meshes.append((positions, mesh))
-        for index, camera in enumerate(cameras):
+        for index, mesh_m in enumerate(meshes):
             positions, vertex_array = self._meshes[index]
-            positions.write(np.ascontiguousarray(vertices_m[index], np.float32))
-            matrix = camera.clip_from_world(NEAR_M, FAR_M).T
-            self._program["clip_from_head"].write(matrix.tobytes())  # type: ignore[union-attr]
+            positions.write(np.ascontiguousarray(mesh_m))
+            self._program["clip_from_head"].write(matrices[index].tobytes())  # type: ignore[union-attr]
             target.viewport = (0, index * height, width, height)
             vertex_array.render()
-        target.viewport = (0, 0, width, height * len(cameras))
+        target.viewport = (0, 0, width, height * len(meshes))
+        return target
 
     def _framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
         if self._target is None or self._target.size != (width, height):
@@ -151,230 +197,141 @@ class Rasteriser:
         return self._target
 
 
-class Views(NamedTuple):
-    """N cameras as tensors of one dtype on one device.
+ENTRY_MARGIN = 1.5
+"""Of `TensorRasteriser.capacity` (chosen: batches of near and far cameras differ)."""
+
+
+class Capacity:
+    """The length of a list that differs from call to call: what is needed, or between `fix` and
+    `release` a length that stays, which costs no wait for the GPU; what then finds no room is left
+    out.
+
+    Args:
+        margin: The fixed length against the most that was needed before.
 
     Attributes:
-        rotation: Head to camera, ``[N, 3, 3]``.
-        translation_m: ``[N, 3]``.
-        inverse: Of the intrinsics, ``[N, 3, 3]``.
-        width: Image columns, the same for all.
+        needed: What the last list of a fixed length needed, int64 ``[]``.
     """
 
-    rotation: Tensor
-    translation_m: Tensor
-    inverse: Tensor
-    width: int
+    def __init__(self, margin: float) -> None:
+        self._margin = margin
+        self._most = self._fixed = self._room = 0
+        self.needed: Tensor | None = None
 
-    @classmethod
-    def of(cls, cameras: Sequence[Camera], like: Tensor) -> Views:
-        """The cameras with dtype and device of `like`."""
+    def of(self, needed: Tensor) -> int:
+        """The length for a list of `needed` entries."""
+        if self._fixed:
+            self.needed = needed.clone()
+            return self._fixed
+        count = int(needed)
+        self._most = max(self._most, count)
+        return count
 
-        def stack(matrices: Sequence[npt.NDArray[np.floating]]) -> Tensor:
-            return torch.from_numpy(np.stack(matrices)).to(like)
+    def fix(self) -> None:
+        """Give lists one length from now on; where none was seen yet, what they need."""
+        self._fixed = self._room = int(self._margin * self._most)
 
-        return cls(
-            stack([camera.rotation for camera in cameras]),
-            stack([camera.translation_m for camera in cameras]),
-            stack([np.linalg.inv(camera.intrinsics) for camera in cameras]),
-            cameras[0].width,
+    def release(self) -> None:
+        """Give every list what it needs again."""
+        self._fixed, self.needed = 0, None
+
+    def was_short(self, needed: int) -> bool:
+        """Whether a list of the fixed length, which may go on being used, needed more; `fix` makes
+        room for it."""
+        self._most = max(self._most, needed)
+        return needed > self._room
+
+
+class TensorRasteriser:
+    """Finds triangles in torch, on the device of the meshes.
+
+    Every pixel in the bounding box of every triangle that faces the camera is an entry of one list,
+    and the nearest of a pixel's triangles wins by one 64-bit maximum: its inverse depth above its
+    index. Of triangles alike in depth the first wins. Triangles that reach nearer than `NEAR_M` are
+    left out whole.
+
+    Args:
+        faces: Triangles, counter-clockwise seen from outside, ``[F, 3]``.
+
+    Attributes:
+        capacity: Of the list of entries.
+    """
+
+    def __init__(self, faces: IntArray, device: torch.device | str) -> None:
+        self._faces = torch.from_numpy(faces.astype(np.int64)).to(device)
+        self.capacity = Capacity(ENTRY_MARGIN)
+
+    @torch.no_grad()
+    def triangles(self, vertices_m: Tensor, views: Views) -> Tensor:
+        """See `Rasteriser`."""
+        table, first, columns, count = self._boxes(vertices_m, views)
+        num_pixels = views.width * views.height
+        ends = count.cumsum(0)
+        entry = torch.arange(self.capacity.of(ends[-1]), device=ends.device)
+        triangle = torch.searchsorted(ends, entry, right=True).clamp_max(len(ends) - 1)
+        place = (entry - (ends - count).index_select(0, triangle)).to(torch.int32)
+        width = columns.index_select(0, triangle)
+        row = torch.div(place, width, rounding_mode="floor")
+        column = place - row * width
+        pixel = first.index_select(0, triangle) + row * views.width + column
+        known = table.index_select(0, triangle).unbind(1)
+        x, y = column.to(table), row.to(table)
+        of_second, of_third, nearness = (
+            known[3 * i] + known[3 * i + 1] * x + known[3 * i + 2] * y for i in range(3)
         )
+        hit = (of_second >= 0) & (of_third >= 0) & (of_second + of_third <= 1)
+        hit &= entry < ends[-1]
+        face = triangle % len(self._faces)
+        key = (nearness.view(torch.int32).to(torch.int64) << 32) | (len(self._faces) - face)
+        nearest = torch.zeros(
+            len(vertices_m) * num_pixels, dtype=torch.int64, device=vertices_m.device
+        )
+        # What misses its triangle says 0 to its own pixel: one place for all would be a queue.
+        pixel = torch.where(hit, pixel, entry % len(nearest))
+        nearest.scatter_reduce_(0, pixel, torch.where(hit, key, 0), "amax")
+        found = torch.where(nearest > 0, len(self._faces) - (nearest & 0xFFFFFFFF), -1)
+        return found.to(torch.int32).view(len(vertices_m), num_pixels)
 
-    def see(self, vertices_m: Tensor) -> Tensor:
-        """Head-frame meshes in their cameras' axes; metres ``[N, V, 3]`` both."""
-        return vertices_m @ self.rotation.mT + self.translation_m[:, None]
+    def _boxes(self, vertices_m: Tensor, views: Views) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The bounding boxes of N times F triangles.
 
-    def rays(self, image: Tensor, pixels: Tensor) -> Tensor:
-        """Directions through pixel centres in camera axes, z = 1, ``[P, 3]``, by camera and flat
-        index (row * W + column), int64 ``[P]`` both."""
-        dtype = self.inverse.dtype
-        rows = torch.div(pixels, self.width, rounding_mode="floor")
-        x, y = (pixels - rows * self.width).to(dtype) + 0.5, rows.to(dtype) + 0.5
-        inverse = self.inverse[image]
-        return inverse[:, :, 0] * x[:, None] + inverse[:, :, 1] * y[:, None] + inverse[:, :, 2]
-
-    def to_head(self, image: Tensor, points_m: Tensor) -> Tensor:
-        """Points in camera axes back in the head frame; metres ``[P, 3]`` both."""
-        offset = points_m - self.translation_m[image]
-        return (self.rotation[image] * offset[:, :, None]).sum(1)
-
-
-def hit_points(
-    seen_m: Tensor, faces: Tensor, views: Views, image: Tensor, pixels: Tensor, triangles: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Where the rays of P covered pixels meet their triangles.
-
-    Args:
-        seen_m: Meshes in camera axes (`Views.see`), metres, ``[N, V, 3]``; gradients flow there.
-        faces: int64 ``[F, 3]``.
-        image: Which image each pixel is of, int64 ``[P]``.
-        pixels: Flat index within the image, int64 ``[P]``.
-        triangles: From `Rasteriser`, int64 ``[P]``.
-
-    Returns:
-        Weights of the triangles' vertices, summing to 1, ``[P, 3]``; depths along the camera's
-        axis, metres, ``[P]``; both differentiable; and the rays, z = 1, ``[P, 3]``.
-    """
-    corners = faces[triangles] + (image * seen_m.shape[1])[:, None]
-    rays = views.rays(image, pixels)
-    points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
-    return *interpolation_weights(points, rays), rays
-
-
-def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-    """Perspective-correct weights of the point where each ray meets its triangle's plane.
-
-    Args:
-        corners: Triangle corners in camera axes, metres, ``[P, 3 corners, 3]``.
-        rays: Ray directions in camera axes with z = 1, ``[P, 3]``.
-
-    Returns:
-        Weights summing to 1, ``[P, 3]``, and depth along z in metres, ``[P]``. Differentiable in
-        `corners`.
-
-    A triangle of no area, or seen edge-on as far as 32 bits can tell, has no answer. GL, which
-    rounds otherwise, draws a pixel of one now and then: it gets the triangle's middle. Corners that
-    are no numbers get the same weights, for torch's lookups crash at NaN.
-    """
-    depths = corners[:, :, 2]
-    x, y = (corners[:, :, :2] - depths[:, :, None] * rays[:, None, :2]).unbind(2)
-    volumes = x.roll(-1, 1) * y.roll(-2, 1) - x.roll(-2, 1) * y.roll(-1, 1)
-    total = volumes.sum(1)
-    # Within a triangle volumes have one sign; on its border rounding may turn a small one.
-    is_sound = total.detach().abs() > EDGE_ON * volumes.detach().abs().sum(1)
-    total = torch.where(is_sound, total, 1.0)
-    weights = torch.where(is_sound[:, None], volumes / total[:, None], 1 / 3)
-    return weights, (weights * depths).sum(1)
-
-
-NORMAL_SHARE = 4
-"""Where pixels are drawn, every fourth has a normal: it needs the depth of two neighbours."""
-
-
-class DrawnPixels(NamedTuple):
-    """What interpolation finds at P pixels of N images.
-
-    Attributes:
-        pixels: The pixels, sorted, counted over all images one after another, int64 ``[P]``.
-        depth_pixels: Those whose depth is asked for: the same and, with normals, neighbours.
-        depth_m: Their depths; differentiable, ``[Q]``.
-        depth_image: Which image they are of, int64 ``[Q]``.
-        rays: Their directions, z = 1, ``[Q, 3]``.
-        centre: Indices into these Q of pixels with both neighbours, int64 ``[R]``.
-        right: Of their right neighbours.
-        below: Of the neighbours below.
-    """
-
-    pixels: Int64Array
-    surface: Surface
-    depth_pixels: Int64Array
-    depth_m: Tensor
-    depth_image: Tensor
-    rays: Tensor
-    centre: Tensor
-    right: Tensor
-    below: Tensor
-
-    def normals(self, depth_m: Tensor) -> Tensor:
-        """Screen-space normals at `centre` of depths ``[Q]``: the mesh's or the capture's."""
-        corners = [
-            self.rays[places] * depth_m.index_select(0, places)[:, None]
-            for places in (self.centre, self.right, self.below)
-        ]
-        return screen_normals(*corners)
-
-
-class MeshDrawer:
-    """Draws the meshes of one topology.
-
-    Args:
-        rasteriser: Made for that topology; it stays its owner's.
-        face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``;
-            all alike without.
-    """
-
-    def __init__(
-        self,
-        rasteriser: Rasteriser,
-        topology: Topology,
-        face_weights: FloatArray | None = None,
-        device: torch.device | str = "cpu",
-    ) -> None:
-        self.rasteriser = rasteriser
-        faces = topology.faces.astype(np.int64)
-        self._faces = torch.from_numpy(faces).to(device)
-        self._face_uv = torch.from_numpy(np.float32(topology.vertex_uv[faces])).to(device)
-        self._face_weights = np.ones(len(faces), np.float32)
-        if face_weights is not None:
-            self._face_weights = face_weights.astype(np.float32)
-
-    def draw(
-        self,
-        vertices_m: Tensor,
-        cameras: list[Camera],
-        rngs: list[np.random.Generator] | None = None,
-        *,
-        pixels_per_image: int = 0,
-        normals: bool = False,
-    ) -> DrawnPixels:
-        """Find the triangle of every pixel of N images, draw covered ones, and interpolate there.
-
-        Args:
-            vertices_m: ``[N, V, 3]``; gradients flow there.
-            rngs: Choose among the pixels of each image; without, all are drawn.
-            pixels_per_image: About how many; 0 for all.
+        Returns:
+            The weights of the second and third corner and the inverse depth, each at the box's
+            first pixel and its change by column and by row, ``[N F, 9]``; the first pixel, counted
+            over all images, int64 ``[N F]``; columns, int32 ``[N F]``; and pixels, int64
+            ``[N F]``, 0 of what cannot be seen.
         """
-        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
-        ids = self.rasteriser.triangle_ids(meshes, cameras)
-        size, width, device = ids[0].size, cameras[0].width, vertices_m.device
-        choices: Sequence[np.random.Generator | None] = rngs or [None] * len(ids)
-        parts = [
-            index * size + self._choose(own.reshape(-1), rng, pixels_per_image)
-            for index, (own, rng) in enumerate(zip(ids, choices, strict=True))
+        width, height = views.width, views.height
+        rows = views.clip.to(torch.float32)
+        clip = vertices_m.to(torch.float32) @ rows[:, :, :3].mT + rows[:, None, :, 3]
+        nearness = 1 / clip[:, :, 3]
+        x = (clip[:, :, 0] * nearness + 1) * (width / 2) - 0.5
+        y = (1 - clip[:, :, 1] * nearness) * (height / 2) - 0.5
+        points = torch.stack([x, y, nearness], 2)
+        a, b, c = (points.index_select(1, corner) for corner in self._faces.unbind(1))
+        low, high = torch.minimum(torch.minimum(a, b), c), torch.maximum(torch.maximum(a, b), c)
+        size = [width, height]
+        x0, y0 = (low[:, :, axis].ceil().clamp(0, size[axis]) for axis in (0, 1))
+        x1, y1 = (high[:, :, axis].floor().clamp(-1, size[axis] - 1) for axis in (0, 1))
+        columns, lines = (x1 - x0 + 1).clamp_min(0), (y1 - y0 + 1).clamp_min(0)
+        ab, ac = b - a, c - a
+        area = ab[:, :, 0] * ac[:, :, 1] - ac[:, :, 0] * ab[:, :, 1]
+        is_seen = (area < 0) & (low[:, :, 2] > 0) & (high[:, :, 2] < 1 / NEAR_M)
+        count = torch.where(is_seen, columns * lines, 0).to(torch.int64)
+        scale = 1 / torch.where(is_seen, area, 1)
+        second = ac[:, :, 1] * scale, -ac[:, :, 0] * scale
+        third = -ab[:, :, 1] * scale, ab[:, :, 0] * scale
+        depth = [i * ab[:, :, 2] + j * ac[:, :, 2] for i, j in zip(second, third, strict=True)]
+        right, down = x0 - a[:, :, 0], y0 - a[:, :, 1]
+        slopes = [second, third, depth]
+        starts = [torch.zeros_like(x0), torch.zeros_like(x0), a[:, :, 2]]
+        values = [
+            value
+            for start, (by_x, by_y) in zip(starts, slopes, strict=True)
+            for value in (start + by_x * right + by_y * down, by_x, by_y)
         ]
-        wanted = chosen = np.concatenate(parts)
-        if normals:
-            every = 1 if pixels_per_image == 0 else NORMAL_SHARE
-            centre = _with_neighbours(ids, np.concatenate([part[::every] for part in parts]))
-            mark = np.zeros(ids.size, bool)
-            for places in (chosen, centre + 1, centre + width):
-                mark[places] = True
-            wanted = np.flatnonzero(mark)
-            place = np.cumsum(mark) - 1
-        views = Views.of(cameras, vertices_m)
-        triangles = torch.from_numpy(ids.reshape(-1)[wanted].astype(np.int64)).to(device)
-        image, pixel = (torch.from_numpy(part).to(device) for part in np.divmod(wanted, size))
-        weights, depth_m, rays = hit_points(
-            views.see(vertices_m), self._faces, views, image, pixel, triangles
-        )
-        points, at = [image, weights, depth_m, rays, triangles], [image[:0]] * 3
-        if normals:
-            own, *at = (
-                torch.from_numpy(place[places]).to(device)
-                for places in (chosen, centre, centre + 1, centre + width)
-            )
-            points = [values.index_select(0, own) for values in points]
-        own_image, own_weights, own_depth_m, own_rays, own_triangles = points
-        uv = (own_weights[:, :, None] * self._face_uv.index_select(0, own_triangles)).sum(1)
-        xyz_m = views.to_head(own_image, own_rays * own_depth_m[:, None])
-        surface = Surface(own_image, uv, xyz_m)
-        return DrawnPixels(chosen, surface, wanted, depth_m, image, rays, *at)
-
-    def _choose(self, ids: IntArray, rng: np.random.Generator | None, wanted: int) -> Int64Array:
-        """Covered pixels of an image, each with its chance, so that about `wanted` come."""
-        covered: Int64Array = np.flatnonzero(ids >= 0)
-        if rng is None or wanted == 0 or len(covered) <= wanted:
-            return covered
-        weights = self._face_weights[ids[covered]]
-        drawn = rng.random(len(covered), np.float32) * np.float32(weights.sum() / wanted) < weights
-        chosen: Int64Array = covered[drawn]
-        return chosen
-
-
-def _with_neighbours(ids: IntArray, places: Int64Array) -> Int64Array:
-    """Those of some covered pixels whose right and lower neighbours are covered, too."""
-    covered = ids >= 0
-    both = np.zeros_like(covered)
-    both[:, :-1, :-1] = covered[:, :-1, 1:] & covered[:, 1:, :-1]
-    kept: Int64Array = places[both.reshape(-1)[places]]
-    return kept
+        table = torch.stack(values, 2).view(-1, 9)
+        image = torch.arange(len(vertices_m), device=vertices_m.device)[:, None]
+        first = (image * height + y0.to(torch.int64)) * width + x0.to(torch.int64)
+        columns = columns.to(torch.int32).clamp_min(1)
+        return table, first.view(-1), columns.view(-1), count.view(-1)

@@ -21,11 +21,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from pica_core.avatar.spec import VARIANTS
 from pica_core.errors import TrainingDivergedError, TrainingError
@@ -33,8 +34,9 @@ from pica_core.files import replacing
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
 from pica_core.train.data import TrainingData, face_prior
-from pica_core.train.objectives import LOSSES, Draw, Objectives
-from pica_core.train.raster import Rasteriser
+from pica_core.train.objectives import LOSSES, Batch, Draw, Objectives
+from pica_core.train.raster import GLRasteriser, Rasteriser, TensorRasteriser
+from pica_core.train.replay import ReplayedStep
 
 PHASES = ("geometry", "joint", "driver")
 JOINT_COST = 4
@@ -52,11 +54,12 @@ FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 METRICS, METRICS_EVERY = "metrics.jsonl", 50
 """File of metrics in a run's folder, and the steps between its lines."""
-CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 5
+CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 6
+DECODED_AHEAD = 4
+"""Steps whose images are being decoded."""
 SCALE_TOLERANCE = 1e-5
 """Relative difference of position scales that two machines' sums may show for one capture."""
 
-Losses = dict[str, float]
 logger = logging.getLogger(__name__)
 
 
@@ -101,6 +104,10 @@ class Trainer:
             driver = live if self._has_live_steps else min(driver, 1)
             joint -= live if self._has_live_steps else 0
         self._steps = geometry, joint, driver
+        self._next: Batch | None = None
+        self._names: dict[str, tuple[str, ...]] = {}
+        self._replayed: dict[str, ReplayedStep] = {}
+        self._replayed_phase = ""
         last = "live" if self._has_live_steps else "driver"
         self._optimisers = {
             phase: make_optimiser(self.model, config, what)
@@ -120,7 +127,7 @@ class Trainer:
             step -= length
         raise ValueError(f"step {self.step} lies behind the last phase")
 
-    def run(self, on_step: Callable[[int, str, Losses], bool] | None = None) -> None:
+    def run(self, on_step: Callable[[int, str, dict[str, float]], bool] | None = None) -> None:
         """Train from the current step to the end, with checkpoints on the way and at the end.
 
         `on_step` is told each step's number, phase and losses, and returns True to go on.
@@ -149,7 +156,7 @@ class Trainer:
                     break
             self.save()
 
-    def train_step(self) -> Losses:
+    def train_step(self) -> dict[str, float]:
         """Do one step and return its losses."""
         phase, index, length = self.phase_of(self.step)
         optimiser = self._optimisers[phase]
@@ -159,23 +166,56 @@ class Trainer:
                 optimiser.param_groups[0]["peak"] = 0.0
         ratio = 1.0 if self.config.constant_rate else rate_ratio(index, length)
         for group in optimiser.param_groups:
-            group["lr"] = group["peak"] * ratio
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(group["peak"] * ratio)
+            else:
+                group["lr"] = group["peak"] * ratio
+        kind = self._kind_of(self.step)
+        batch = self._next if self._next is not None else self._prepared(self.step)
+        values = self._steps_of(phase, kind)(batch)
+        self.step += 1
+        self._next = None
+        if self.step < self.total_steps and self.phase_of(self.step)[0] == phase:
+            self._expect(self.step + DECODED_AHEAD)
+            if self.device.type != "cpu":  # while the GPU is at work
+                self._next = self._prepared(self.step)
+        return dict(zip(self._names[kind], values.tolist(), strict=False))
+
+    def _prepared(self, step: int) -> Batch:
+        return self.objectives.prepare(self._kind_of(step), Draw(self.config.seed, step))
+
+    def _expect(self, step: int) -> None:
+        """Have images decoded for a step to come."""
+        if step < self.total_steps and self._kind_of(step) == "joint":
+            self.objectives.expect(Draw(self.config.seed, step))
+
+    def _steps_of(self, phase: str, kind: str) -> Callable[[Batch], Tensor]:
+        """What does steps of a kind: repeated from a CUDA graph where there is a GPU."""
+        work = partial(self._work, phase, kind)
+        if self.device.type == "cpu":
+            return work
+        if self._replayed_phase != phase:  # the graphs of another phase hold memory
+            self._replayed, self._replayed_phase = {}, phase
+        if kind not in self._replayed:
+            sizes = [self.objectives.drawer.capacity]
+            if isinstance(self.rasteriser, TensorRasteriser):
+                sizes.append(self.rasteriser.capacity)
+            self._replayed[kind] = ReplayedStep(work, sizes, self.device)
+        return self._replayed[kind]
+
+    def _work(self, phase: str, kind: str, batch: Batch) -> Tensor:
+        """One step of the phase's optimiser on a batch of the model's device; its losses."""
+        optimiser = self._optimisers[phase]
         optimiser.zero_grad(set_to_none=True)
-        after = self.step + 1
-        if after < self.total_steps and self._kind_of(after) == "joint":
-            self.objectives.expect(Draw(self.config.seed, after))
-        losses = LOSSES[self._kind_of(self.step)](
-            self.objectives, Draw(self.config.seed, self.step)
-        )
-        total = sum(losses.values(), torch.zeros((), device=self.device))
-        total.backward()  # type: ignore[no-untyped-call]
+        losses = LOSSES[kind](self.objectives, batch)
+        self._names[kind] = tuple(losses)
+        values = list(losses.values())
+        sum(values[1:], values[0]).backward()  # type: ignore[no-untyped-call]
         if self.config.clip_norm > 0:  # by group: their losses differ in scale by thousands
             for group in optimiser.param_groups:
                 nn.utils.clip_grad_norm_(group["params"], self.config.clip_norm)
         optimiser.step()
-        self.step += 1
-        values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
-        return dict(zip(losses, values.tolist(), strict=True))
+        return torch.stack([value.detach() for value in values])
 
     def _kind_of(self, step: int) -> str:
         """A step's phase; in one with pictures of poses every fourth "joint", the others "live"."""
@@ -184,8 +224,13 @@ class Trainer:
             return phase
         return "live" if index % LIVE_TURN else "joint"
 
-    def save(self) -> None:
+    def save(self, run: Path | None = None, *, light: bool = False) -> None:
         """Write the checkpoint aside, then move it into place.
+
+        Args:
+            run: Another folder than the run's.
+            light: Weights in half precision and no moments: a fifth of the bytes, from which a run
+                goes on, but not bit for bit.
 
         Raises:
             TrainingDivergedError: Weights are not finite; the checkpoint before stays.
@@ -195,26 +240,30 @@ class Trainer:
             sums = torch.stack([p.sum() for p in self.model.parameters()])
         if not torch.isfinite(sums).all():
             raise self._diverged("weights")
+        weights, moments = self.model.state_dict(), self._optimisers
+        if light:
+            moments = {}
+            weights |= {name: p.detach().half() for name, p in self.model.named_parameters()}
         state = {
             "config": asdict(self.config),
             "capture": str(self.data.capture.path.resolve()),
             "step": self.step,
             "position_scale_m": self.data.meshes.position_scale_m,
-            "model": self.model.state_dict(),
-            "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
+            "model": weights,
+            "moments": {name: each.state_dict()["state"] for name, each in moments.items()},
             "mean_mesh_m": self.objectives.mean_m,
             "seconds": self.seconds,
         }
-        write_checkpoint(self.run_dir / CHECKPOINT, state)
+        write_checkpoint((run or self.run_dir) / CHECKPOINT, state)
 
-    def restore(self) -> None:
-        """Go on from the run's checkpoint.
+    def restore(self, run: Path | None = None) -> None:
+        """Go on from the checkpoint of the run, or of another folder.
 
         Raises:
             TrainingError: None there, damaged, of another version, of other options, or of
                 another capture.
         """
-        state = read_checkpoint(self.run_dir)
+        state = read_checkpoint(run or self.run_dir)
         ours, theirs = asdict(self.config), asdict(state["config"])
         if other := [f"{name} {theirs[name]}" for name in ours if ours[name] != theirs[name]]:
             raise TrainingError(
@@ -228,10 +277,13 @@ class Trainer:
                 f"{self.data.capture.path} (position scale {scale_m:.6g} m, here {here_m:.6g} m)"
             )
         self.model.load_state_dict(state["model"])
-        for name, optimiser in self._optimisers.items():
-            optimiser.load_state_dict(state["optimisers"][name])
+        for name in state["moments"]:
+            optimiser = self._optimisers[name]
+            moments = {"state": state["moments"][name]}
+            optimiser.load_state_dict(optimiser.state_dict() | moments)
         self.objectives.mean_m.copy_(state["mean_mesh_m"])
         self.step, self.seconds = state["step"], state["seconds"]
+        self._next, self._replayed = None, {}
 
     def _diverged(self, what: str) -> TrainingDivergedError:
         phase, _, _ = self.phase_of(max(self.step - 1, 0))
@@ -253,10 +305,14 @@ def open_trainer(
     *,
     device: torch.device | str = "cpu",
 ) -> Iterator[Trainer]:
-    """A trainer with a rasteriser of its own, whose GL context is released at the end."""
+    """A trainer with a rasteriser of its own; one of GL, on the CPU, is released at the end."""
     topology = data.meshes.topology(VARIANTS[config.variant].topology)
-    with Rasteriser.of(topology) as rasteriser:
-        yield Trainer(data, config, run_dir, rasteriser, device=device)
+    if torch.device(device).type != "cpu":
+        faces = TensorRasteriser(topology.faces, device)
+        yield Trainer(data, config, run_dir, faces, device=device)
+        return
+    with GLRasteriser.of(topology) as rasteriser:
+        yield Trainer(data, config, run_dir, rasteriser)
 
 
 def make_optimiser(model: AvatarModel, config: TrainConfig, phase: str) -> torch.optim.Adam:
@@ -278,9 +334,17 @@ def make_optimiser(model: AvatarModel, config: TrainConfig, phase: str) -> torch
             groups.append((list(expression.layers[-1].parameters()), DRIVER_RATE))
         case _:
             groups = [(list(expression.parameters()), DRIVER_RATE)]
+    device = next(model.parameters()).device
+    is_gpu = device.type != "cpu"  # where a graph repeats steps, and reads the rate of a tensor
     return torch.optim.Adam(
-        [{"params": params, "lr": rate, "peak": rate} for params, rate in groups if params],
+        [
+            {"params": params, "peak": rate}
+            | {"lr": torch.tensor(rate, device=device) if is_gpu else rate}
+            for params, rate in groups
+            if params
+        ],
         fused=True,
+        capturable=is_gpu,
     )
 
 

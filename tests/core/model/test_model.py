@@ -46,8 +46,8 @@ def test_the_papers_encoder_gives_mean_and_variance_of_an_8_by_8_by_4_latent() -
 
 
 def test_the_colour_loss_reaches_uv_and_not_xyz() -> None:
-    xyz, uv = (torch.rand(5, width, requires_grad=True) for width in (3, 2))
-    surface = Surface(torch.zeros(5, dtype=torch.int64), uv, xyz)
+    xyz, uv = (torch.rand(1, 5, width, requires_grad=True) for width in (3, 2))
+    surface = Surface(uv, xyz)
 
     small_avatar().shade(torch.zeros(1, 4, 256, 256), surface).sum().backward()
 

@@ -120,7 +120,7 @@ def test_the_image_reaches_every_weight_that_makes_it(variant: str) -> None:
     model = small_model(variant)
     latent = torch.randn(2, 4, 8, 8)
     mesh = model.decode_mesh(latent)
-    surface = Surface(torch.tensor([0, 0, 1]), torch.rand(3, 2), mesh.vertices_m[[0, 0, 1], 7])
+    surface = Surface(torch.rand(2, 2, 2), mesh.vertices_m[:, 7:9])
     maps = model.appearance(latent, torch.nn.functional.normalize(torch.randn(2, 3)))
 
     colours = model.shade(maps, surface)

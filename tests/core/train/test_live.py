@@ -101,7 +101,8 @@ def test_poses_come_back_from_a_capture_within_a_hundredth_of_a_millimetre(tmp_p
 def live_loss(trainer: Trainer) -> float:
     """On the same pictures and pixels whenever it is asked for."""
     with torch.no_grad():
-        parts = [trainer.objectives.live(Draw(seed, 0))["live"] for seed in range(8)]
+        batches = [trainer.objectives.prepare("live", Draw(seed, 0)) for seed in range(8)]
+        parts = [trainer.objectives.live(batch)["live"] for batch in batches]
     return float(torch.stack(parts).mean())
 
 

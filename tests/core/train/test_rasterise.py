@@ -14,13 +14,9 @@ import torch
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import ShapeError
-from pica_core.train.raster import (
-    MeshDrawer,
-    Rasteriser,
-    Views,
-    hit_points,
-    interpolation_weights,
-)
+from pica_core.train.pixels import MeshDrawer, hit_points, interpolation_weights
+from pica_core.train.raster import GLRasteriser, TensorRasteriser, Views
+from pica_core.types import IntArray
 
 pytestmark = pytest.mark.train
 
@@ -37,28 +33,113 @@ TOPOLOGY = Topology(vertex_uv=np.eye(3, 2, dtype=np.float32), faces=FACE, region
 
 
 def test_a_rasteriser_draws_on_after_another_of_its_thread_is_closed() -> None:
-    with Rasteriser(FACE, 3) as first:
-        before = first.triangle_ids(TRIANGLE[None], [front_camera()])
-        with Rasteriser(FACE, 3) as second:
-            second.triangle_ids(TRIANGLE[None], [front_camera(32)])
-        after = first.triangle_ids(TRIANGLE[None], [front_camera()])
+    mesh = torch.from_numpy(TRIANGLE)[None]
+    with GLRasteriser(FACE, 3) as first:
+        before = first.triangles(mesh, Views.of([front_camera()]))
+        with GLRasteriser(FACE, 3) as second:
+            second.triangles(mesh, Views.of([front_camera(32)]))
+        after = first.triangles(mesh, Views.of([front_camera()]))
 
     assert (before >= 0).any()
-    np.testing.assert_array_equal(before, after)
+    assert torch.equal(before, after)
+
+
+def soup(seed: int, count: int = 300) -> tuple[torch.Tensor, IntArray]:
+    """Two meshes of small triangles that cover each other, ``[2, 3 F, 3]``, and their faces."""
+    rng = np.random.default_rng(seed)
+    middles = rng.uniform(-0.3, 0.3, (2, count, 1, 3))  # some beyond the image
+    corners = middles + rng.normal(0, 0.03, (2, count, 3, 3))
+    faces = np.arange(3 * count, dtype=np.int32).reshape(count, 3)
+    return torch.from_numpy(corners.reshape(2, -1, 3).astype(np.float32)), faces
+
+
+def two_views() -> Views:
+    return Views.of(
+        [
+            look_at(centre_m=(x, 0.1, 1), target_m=(0, 0, 0), vertical_fov=0.5, width=90, height=70)
+            for x in (-0.2, 0.0)
+        ]
+    )
+
+
+def test_torch_finds_the_triangles_that_gl_finds_but_for_ties_at_edges() -> None:
+    meshes, faces = soup(3)
+    with GLRasteriser(faces, meshes.shape[1]) as rasteriser:
+        wanted = rasteriser.triangles(meshes, two_views())
+
+    found = TensorRasteriser(faces, "cpu").triangles(meshes, two_views())
+
+    assert (wanted >= 0).float().mean() > 0.25
+    assert (found != wanted).float().mean() < 2e-3
+
+
+def test_lists_of_a_fixed_length_say_what_they_left_out() -> None:
+    meshes, faces = soup(4)
+    one, two = (Views.of([front_camera()] * count) for count in (1, 2))
+    rasteriser = TensorRasteriser(faces, "cpu")
+    alone = rasteriser.triangles(meshes[:1], one)
+    whole = TensorRasteriser(faces, "cpu").triangles(meshes, two)
+    rasteriser.capacity.fix()
+
+    assert torch.equal(rasteriser.triangles(meshes[:1], one), alone)
+    few = rasteriser.triangles(meshes, two)
+
+    assert torch.equal(few[0], whole[0])
+    assert (few[1] >= 0).sum() < (whole[1] >= 0).sum()
+    needed = rasteriser.capacity.needed
+    assert needed is not None
+    assert rasteriser.capacity.was_short(int(needed))
+    rasteriser.capacity.fix()
+    assert torch.equal(rasteriser.triangles(meshes, two), whole)
+
+
+def test_pixels_that_fill_up_change_nothing() -> None:
+    meshes, faces = soup(5)
+    uv = np.random.default_rng(0).random((meshes.shape[1], 2), np.float32)
+    drawer = MeshDrawer(
+        TensorRasteriser(faces, "cpu"), Topology(vertex_uv=uv, faces=faces, regions={})
+    )
+    plain = drawer.draw(meshes, two_views())
+    drawer.capacity.fix()
+
+    filled = drawer.draw(meshes, two_views())
+
+    assert filled.pixels.shape[1] > plain.pixels.shape[1]
+    for ours, theirs in zip(filled.surface, plain.surface, strict=True):
+        assert torch.equal(ours[filled.is_drawn], theirs[plain.is_drawn])
+
+
+def test_important_triangles_are_chosen_more_often() -> None:
+    meshes, faces = soup(6)
+    uv = np.zeros((meshes.shape[1], 2), np.float32)
+    weights = np.where(np.arange(len(faces)) % 2, 4.0, 1.0).astype(np.float32)
+    rasteriser = TensorRasteriser(faces, "cpu")
+    drawer = MeshDrawer(rasteriser, Topology(vertex_uv=uv, faces=faces, regions={}), weights)
+    ids = rasteriser.triangles(meshes, two_views())
+    counts = np.zeros(2)
+
+    for shift in range(0, 6300, 450):
+        drawn = drawer.draw(meshes, two_views(), count=200, shift=torch.tensor([shift, shift + 9]))
+        chosen = ids.gather(1, drawn.pixels)[drawn.is_drawn]
+        counts += np.bincount(chosen % 2, minlength=2)
+        assert 120 < drawn.is_drawn.sum(1).float().mean() < 280
+
+    covered = np.bincount(ids[ids >= 0] % 2, minlength=2)
+    assert counts[1] / covered[1] == pytest.approx(4 * counts[0] / covered[0], rel=0.2)
 
 
 def test_interpolated_points_project_back_to_their_pixel_centres() -> None:
-    camera = front_camera()
-    with Rasteriser.of(TOPOLOGY) as rasteriser:
-        drawn = MeshDrawer(rasteriser, TOPOLOGY).draw(torch.from_numpy(TRIANGLE)[None], [camera])
-        ids = rasteriser.triangle_ids(TRIANGLE[None], [camera])
-    pixels = drawn.pixels
+    camera, mesh = front_camera(), torch.from_numpy(TRIANGLE)[None]
+    with GLRasteriser.of(TOPOLOGY) as rasteriser:
+        drawn = MeshDrawer(rasteriser, TOPOLOGY).draw(mesh, Views.of([camera]))
+        ids = rasteriser.triangles(mesh, Views.of([camera]))
+    pixels = drawn.pixels[0].numpy()
 
-    seen, depths = camera.project(drawn.surface.xyz_m.numpy())
+    seen, depths = camera.project(drawn.surface.xyz_m[0].numpy())
     assert np.array_equal(pixels, np.flatnonzero(ids >= 0))
     assert np.allclose(seen[:, 0], pixels % 64 + 0.5, atol=1e-3)
     assert np.allclose(seen[:, 1], pixels // 64 + 0.5, atol=1e-3)
-    assert np.allclose(depths, drawn.depth_m.numpy(), atol=1e-6)
+    assert np.allclose(depths, drawn.depth_m[0].numpy(), atol=1e-6)
 
 
 def test_weights_are_perspective_correct() -> None:
@@ -115,8 +196,8 @@ def test_corners_that_are_no_numbers_have_weights_that_are() -> None:
 
 
 def test_cameras_of_two_sizes_make_no_batch() -> None:
-    with Rasteriser(FACE, 3) as rasteriser, pytest.raises(ShapeError, match="several image sizes"):
-        rasteriser.triangle_ids(np.stack([TRIANGLE] * 2), [front_camera(16), front_camera(17)])
+    with pytest.raises(ShapeError, match="several image sizes"):
+        Views.of([front_camera(16), front_camera(17)])
 
 
 def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() -> None:
@@ -126,22 +207,30 @@ def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() ->
     ]
     meshes = torch.from_numpy(np.stack([TRIANGLE, 1.1 * TRIANGLE])).double()
     faces = torch.from_numpy(FACE).long()
-    with Rasteriser(FACE, 3) as rasteriser:
-        ids = rasteriser.triangle_ids(meshes.float().numpy(), cameras)
-    image, pixels = (torch.from_numpy(a) for a in np.nonzero(ids.reshape(2, -1) >= 0))
-    some = torch.arange(0, len(image), 7)
-    image, pixels = image[some], pixels[some]
     views = Views.of(cameras, meshes)
-    assert set(image.tolist()) == {0, 1}
+    ids = TensorRasteriser(FACE, "cpu").triangles(meshes, views)
+    pixels = torch.stack([torch.nonzero(own >= 0)[:40:7, 0] for own in ids])
 
     def points(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        triangles = torch.zeros_like(pixels)
-        weights, depth_m, rays = hit_points(
-            views.see(values), faces, views, image, pixels, triangles
-        )
-        return weights, views.to_head(image, rays * depth_m[:, None])
+        rays = views.rays(pixels)
+        weights, depth_m = hit_points(views.see(values), faces, torch.zeros_like(pixels), rays)
+        return weights, views.to_head(rays * depth_m[:, :, None])
 
     assert torch.autograd.gradcheck(points, (meshes.requires_grad_(),))
+
+
+def test_the_normals_of_a_plane_are_its_own_where_neighbours_are_drawn() -> None:
+    mesh = torch.from_numpy(TRIANGLE)[None]
+    drawer = MeshDrawer(TensorRasteriser(FACE, "cpu"), TOPOLOGY)
+    drawn = drawer.draw(mesh, Views.of([front_camera()]))
+    a, b, c = mesh[0]
+    wanted = torch.linalg.cross(b - a, c - a) @ drawn.views.rotation[0].T
+
+    right, below = drawn.beside(drawn.is_drawn)
+    found = drawn.normals(drawn.depth_m)[right & below]
+
+    assert 0 < len(found) < drawn.pixels.shape[1]
+    assert torch.allclose(found, (wanted / wanted.norm()).expand_as(found), atol=1e-3)
 
 
 def test_triton_is_loaded_before_a_driver_can_be(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def test_unseen_texels_are_filled_from_their_own_part_of_the_surface(data: Train
 
 def test_the_position_map_of_a_mesh_gives_its_vertices_back(data: TrainingData) -> None:
     # But for vertices beside seams and lids, where a texel is shared.
-    maps = data.meshes.position_maps([0])
+    maps = data.meshes.position_map(0)[None]
 
     vertex_uv = torch.from_numpy(np.float32(data.capture.topology.vertex_uv))
     offsets = sample_map(maps, vertex_uv)[0].numpy() * data.meshes.position_scale_m

@@ -17,7 +17,7 @@ from helpers.published_capture import SEGMENTS, write_published
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.errors import CaptureError, TrainingDivergedError, TrainingError
-from pica_core.train.cli.train import ExportOptions, export
+from pica_core.train.cli.train import ExportOptions, TrainOptions, export, train
 from pica_core.train.config import PAPER, PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate, successor
@@ -69,6 +69,18 @@ def test_weights_that_are_not_finite_are_never_saved(
     assert (tmp_path / "checkpoint.pt").read_bytes() == saved
 
 
+def test_a_run_that_its_seconds_cut_is_measured_and_goes_on(captured: Path, tmp_path: Path) -> None:
+    cut = TrainOptions(
+        capture=captured, out=tmp_path / "run", preset="tiny", seconds=0.1, eval_frames=1, threads=1
+    )
+
+    first = train(cut)
+    second = train(replace(cut, resume=True))
+
+    assert 0 < first["steps"] < second["steps"] < 100
+    assert first["mse"] > 0
+
+
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,7 +110,7 @@ def test_a_capture_without_depth_switches_its_losses_off_and_says_so_once(
     for entry in captured.iterdir():
         if entry.name != "depth":
             (bare / entry.name).symlink_to(entry)
-    config = short(0, 2, depth=10.0, normal=1.0)
+    config = short(0, 2, depth=10.0, normal=1.0, pixels_per_image=0)
 
     with open_trainer(TrainingData(Capture.open(bare)), config, tmp_path / "run") as trainer:
         losses = trainer.train_step()
@@ -114,7 +126,8 @@ def test_a_model_takes_a_step_with_all_losses_on_tracked_meshes(
     data: TrainingData, tmp_path: Path, variant: str
 ) -> None:
     weights = {"depth": PAPER.depth, "normal": PAPER.normal, "smooth": PAPER.smooth}
-    config = short(0, 1, variant=variant, mesh_source="tracked", **weights)
+    changes = {"mesh_source": "tracked", "pixels_per_image": 0, **weights}
+    config = short(0, 1, variant=variant, **changes)
 
     with open_trainer(data, config, tmp_path) as trainer:
         mean_m = trainer.objectives.mean_m.clone()

@@ -118,7 +118,7 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
                     "needed"
                 )
             if mode != "I;16":
-                return np.asarray(image.convert(mode))
+                return np.array(image.convert(mode))  # writable, as torch wants it
             if not image.mode.startswith("I"):
                 raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
             return np.asarray(image).astype(np.uint16)

@@ -27,7 +27,7 @@ from pica_core.train.export import (
     model_card,
 )
 from pica_core.train.lod.levels import add_levels
-from pica_core.train.train import CHECKPOINT, Losses, Trainer, open_trainer, read_checkpoint
+from pica_core.train.train import CHECKPOINT, Trainer, open_trainer, read_checkpoint
 
 VariantName = Literal[
     "linear", "full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"
@@ -60,11 +60,19 @@ class TrainOptions:
     """Where to compute; auto takes a GPU where there is one."""
     resume: bool = False
     """Go on from the run's checkpoint."""
+    seconds: float = 0.0
+    """Stop after so many seconds of steps, with a checkpoint, and evaluate what there is; 0 for no
+    limit."""
     eval_frames: int = 25
     """Held-out frames to evaluate at the end."""
 
     def __post_init__(self) -> None:
-        ranges = {"seed": (0, 2**31 - 1), "threads": (1, 1024), "eval_frames": (1, 1_000_000)}
+        ranges = {
+            "seed": (0, 2**31 - 1),
+            "threads": (1, 1024),
+            "seconds": (0, 1e9),
+            "eval_frames": (1, 1_000_000),
+        }
         check_ranges(self, TrainingError, **ranges)
 
 
@@ -109,7 +117,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
     with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
         if options.resume:
             trainer.restore()
-        _run_with_progress(trainer)
+        _run_with_progress(trainer, options.seconds)
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step
     (options.out / EVALUATION_FILE).write_text(json.dumps(rows, indent=1) + "\n")
@@ -184,12 +192,13 @@ def _config(options: TrainOptions) -> TrainConfig:
     return replace(config, variant=options.variant or usual, **changes)
 
 
-def _run_with_progress(trainer: Trainer) -> None:
-    """Run with a bar on stderr: phase, losses, time left.
+def _run_with_progress(trainer: Trainer, seconds: float) -> None:
+    """Run with a bar on stderr: phase, losses, time left; stop after some seconds of steps, if they
+    are not 0.
 
     An interrupt is taken between two steps, so that the checkpoint it leaves is whole.
     """
-    interrupted = threading.Event()
+    interrupted, before_s = threading.Event(), trainer.seconds
     before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
     columns = (
         TextColumn("{task.description:9}"),
@@ -202,10 +211,11 @@ def _run_with_progress(trainer: Trainer) -> None:
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
         task = progress.add_task("", total=trainer.total_steps, completed=trainer.step, losses="")
 
-        def show(step: int, phase: str, losses: Losses) -> bool:
+        def show(step: int, phase: str, losses: dict[str, float]) -> bool:
             shown = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
             progress.update(task, completed=step, description=phase, losses=shown)
-            return not interrupted.is_set()
+            is_over = seconds > 0 and trainer.seconds - before_s >= seconds
+            return not interrupted.is_set() and not is_over
 
         try:
             trainer.run(show)

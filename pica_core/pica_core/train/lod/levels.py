@@ -57,7 +57,7 @@ from pica_core.train.lod.exits import (
     fit_local,
 )
 from pica_core.train.lod.simplify import Simplifier, weld
-from pica_core.train.raster import Rasteriser
+from pica_core.train.raster import GLRasteriser, Views
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array
 
 LEAST_SHARE = 0.3
@@ -96,10 +96,11 @@ def seen_vertices(shapes_m: Array, faces: Array) -> BoolArray:
         faces: int32 ``[F, 3]``.
     """
     seen = np.zeros(shapes_m.shape[1], bool)
-    with Rasteriser(faces.astype(np.int32), len(seen)) as raster:
+    with GLRasteriser(faces.astype(np.int32), len(seen)) as raster:
         for shape in shapes_m:
             for camera in dome_cameras(len(NAMED_VIEWS), SEEN_SIZE, SEEN_SIZE):
-                ids = raster.triangle_ids(shape[None], [camera])[0]
+                mesh_m = torch.from_numpy(shape)[None]
+                ids = raster.triangles(mesh_m, Views.of([camera])).numpy()
                 seen[faces[np.unique(ids[ids >= 0])]] = True
     for _ in range(SEEN_RINGS):
         seen[faces[seen[faces].any(1)]] = True
