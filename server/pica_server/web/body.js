@@ -59,7 +59,7 @@ export class Body {
       const { avatar } = this;
       const { faces, used } = renumbered(ordered(this._seen(avatar.facesOf(level, "decoded")), avatar.vertexUv));
       const sheet = avatar.sheetVertices(positions);
-      const slots = new Map(positions === MAP_SIZE ? [] : Array.from(sheet, (vertex, slot) => [vertex, slot]));
+      const slots = new Map(Array.from(sheet, (vertex, slot) => [vertex, slot]));
       const rows = Math.ceil(sheet.length / positions);
       const corners = new Float32Array(4 * used.length);
       used.forEach((vertex, at) => {

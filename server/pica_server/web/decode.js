@@ -146,7 +146,7 @@ class Bank {
   _decodeCodes(jobs) {
     const lengths = jobs.map(({ level }) => this._plan.exits.get(level)?.steps ?? this._trunk.length);
     for (const [number, step] of this._trunk.entries()) {
-      this._table(step.pass.table);
+      this._array(UNITS.table, step.pass.table);
       step.draw(lengths.filter((steps) => steps > number).length);
       step.bind();
       const leaving = lengths.flatMap((steps, place) => (steps === number + 1 ? [place] : []));
@@ -155,7 +155,7 @@ class Bank {
       }
       const last = this._exits.get(jobs[leaving[0]].level);
       if (last) {
-        this._table(last.pass.table);
+        this._array(UNITS.table, last.pass.table);
         last.draw(leaving[leaving.length - 1] + 1);
         last.bind();
       }
@@ -173,7 +173,7 @@ class Bank {
   _decodeVertices(jobs, heads) {
     this._graphics.bind(UNITS.rows, heads);
     for (const step of this._vertices) {
-      this._table(step.pass.table);
+      this._array(UNITS.table, step.pass.table);
       step.draw(jobs.length);
       step.bind();
     }
@@ -193,11 +193,6 @@ class Bank {
     gl.useProgram(screen.program);
     gl.uniform1i(screen.at.head, head);
     this._graphics.drawScreen(screen, target);
-  }
-
-  /** @param {string} name */
-  _table(name) {
-    this._array(UNITS.table, name);
   }
 
   /** @param {number} unit @param {string} name */
@@ -287,7 +282,7 @@ export function layOut(avatar) {
   const [half, exact] = [new Table(), new Table()];
   /** @type {Pass[]} */
   const trunk = [];
-  DECODER.forEach(([ins, outs], index) => {
+  DECODER.forEach(([, outs], index) => {
     const [size, name] = [8 << index, `expression.${index}`];
     trunk.push(convolution(avatar, `${name}.first.weight`, `${name}.first_bias.weight`, half, "half", index === 0 ? { FIRST: 1 } : {}));
     trunk.push({
@@ -302,7 +297,6 @@ export function layOut(avatar) {
       rows: size,
       table: "half",
     });
-    void ins;
   });
   const full = /** @type {Pass} */ (trunk.pop());
   const exits = new Map(avatar.levels.slice(0, -1).map((level) => {

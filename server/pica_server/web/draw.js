@@ -119,23 +119,20 @@ export class Renderer {
   /** Seconds that decoding a head at the full level takes here. @param {string} slot */
   measureDecode(slot) {
     const { gl } = this._graphics;
-    const codes = /** @type {HeadMaps} */ (this._slots.get(slot)?.maps).of(256).codes;
+    const maps = /** @type {HeadMaps} */ (this._slots.get(slot)?.maps);
     /** @param {number} times */
     const took = (times) => {
       const started = performance.now();
       for (let time = 0; time < times; ++time) {
         this.decode([{ slot, latent: new Float32Array(256), view: [0, 0, 1], level: 256, isBoth: true }]);
       }
-      gl.bindFramebuffer(gl.FRAMEBUFFER, codes.framebuffer);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, maps.of(256).codes.framebuffer);
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, new Float32Array(4));
       return (performance.now() - started) / 1000;
     };
     took(1);
     const seconds = took(3) / 3;
-    const maps = this._slots.get(slot)?.maps;
-    if (maps) {
-      maps.level = 0;
-    }
+    maps.level = 0;
     return seconds;
   }
 
@@ -165,7 +162,7 @@ export class Renderer {
       this._compose(shown, target);
       this._composed = composed;
     }
-    const triangles = changed.reduce((sum, [{ entry, level, mesh }]) => sum + trianglesOf(entry, level, mesh), 0);
+    const triangles = changed.reduce((sum, [head]) => sum + trianglesOf(head), 0);
     return { isNew, numDrawn: changed.length, triangles };
   }
 
@@ -381,8 +378,8 @@ const layerSize = (size) => [Math.ceil(size[0] / SIDE_STEP_PX) * SIDE_STEP_PX, M
 /** @param {Rect} rect @param {number} width @param {number} height */
 const clipRect = ([left, bottom, right, top], width, height) => [(2 * left) / width - 1, (2 * bottom) / height - 1, (2 * right) / width - 1, (2 * top) / height - 1];
 
-/** @param {Slot} entry @param {number} level @param {number} mesh */
-function trianglesOf({ body }, level, mesh) {
+/** @param {Shown} head */
+function trianglesOf({ entry: { body }, level, mesh }) {
   const decoded = body instanceof Body && level ? body.decoded(level, mesh)?.count ?? 0 : 0;
   return (decoded + (body.textured(mesh)?.count ?? 0)) / 3;
 }

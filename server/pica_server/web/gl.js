@@ -124,17 +124,14 @@ export class Graphics {
   /** @param {Format} format @returns {[number, number, number]} Internal format, format and type. */
   formats(format) {
     const { gl } = this;
-    switch (format) {
-      case "RGBA8": return [gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE];
-      case "RGB8": return [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE];
-      case "RGBA16F": return [gl.RGBA16F, gl.RGBA, gl.FLOAT];
-      case "RGBA32F": return [gl.RGBA32F, gl.RGBA, gl.FLOAT];
-      case "RG16F": return [gl.RG16F, gl.RG, gl.FLOAT];
-      case "RG32F": return [gl.RG32F, gl.RG, gl.FLOAT];
-      case "RGB32F": return [gl.RGB32F, gl.RGB, gl.FLOAT];
-      case "RGB16UI": return [gl.RGB16UI, gl.RGB_INTEGER, gl.UNSIGNED_SHORT];
-      case "DEPTH": return [gl.DEPTH_COMPONENT24, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT];
+    if (format === "DEPTH") {
+      return [gl.DEPTH_COMPONENT24, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT];
     }
+    if (format === "RGB16UI") {
+      return [gl.RGB16UI, gl.RGB_INTEGER, gl.UNSIGNED_SHORT];
+    }
+    const components = format.startsWith("RGBA") ? gl.RGBA : format.startsWith("RGB") ? gl.RGB : gl.RG;
+    return [gl[format], components, format.endsWith("F") ? gl.FLOAT : gl.UNSIGNED_BYTE];
   }
 
   /** @param {Format} format @param {number} width @param {number} height @param {{smooth?: boolean, data?: ArrayBufferView, levels?: number}} [options] @returns {Texture} */

@@ -29,6 +29,7 @@ export class Picture {
       throw new DrawError("This browser draws no 3D (WebGL 2): try a current Firefox, Chrome or Safari.");
     }
     this.isCalm = false;
+    this._fps = DISPLAY_FPS;
     this.numDrawn = 0;
     this._scene = this._makeScene();
     this._fence = /** @type {WebGLSync | null} */ (null);
@@ -55,10 +56,9 @@ export class Picture {
     }
     const ratio = this._resize();
     const { width, height } = this.canvas;
-    const budgetS = BUDGET_SHARE / (this._isSoftware ? SOFTWARE_FPS : DISPLAY_FPS);
     const started = performance.now();
     this._scene.isCalm = this.isCalm;
-    const found = this._scene.draw(people, wanted, { framebuffer: null, width, height }, budgetS, now);
+    const found = this._scene.draw(people, wanted, { framebuffer: null, width, height }, BUDGET_SHARE / this._fps, now);
     if (found.isNew) {
       ++this.numDrawn;
       this._time(started, found);
@@ -106,7 +106,7 @@ export class Picture {
       return null;
     }
     const graphics = new Graphics(gl, this._texts);
-    this._isSoftware = graphics.isSoftware;
+    this._fps = graphics.isSoftware ? SOFTWARE_FPS : DISPLAY_FPS;
     return new Scene(new Renderer(graphics, { hasRoom: !this._isTile }));
   }
 }

@@ -355,10 +355,7 @@ function wanted(head, level, now) {
 /** How many times smaller heads count after so many turns, the lowest first. @param {number} count @param {number} turns */
 const shrinksOf = (count, turns) => Array.from({ length: count }, (_, rank) => STEP ** Math.floor((turns + count - 1 - rank) / count));
 /** @param {number} level @param {Decode} parts */
-function expectedDecodeS(level, parts) {
-  const table = EXPECTED_DECODE_S[parts];
-  return table[level] ?? table[256] * (level / 256) ** 2;
-}
+const expectedDecodeS = (level, parts) => EXPECTED_DECODE_S[parts][level];
 /** @param {number} a @param {number} b */
 const before = (a, b) => (a === b ? 0 : a - b);
 /** @param {string} a @param {string} b */
