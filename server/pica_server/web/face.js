@@ -71,9 +71,10 @@ class SpeechFeatures {
     const numBins = Math.ceil((HIGHEST_HZ * WINDOW) / RATE_HZ);
     this.kept = new Float32Array(WINDOW);
     this.loudest = Math.log(QUIETEST);
+    this.window = Float32Array.from({ length: WINDOW }, (_, n) =>
+      0.5 - 0.5 * Math.cos((2 * Math.PI * n) / (WINDOW - 1)));
     this.waves = Array.from({ length: numBins }, (_, bin) => [Math.cos, Math.sin].map((wave) =>
-      Float32Array.from({ length: WINDOW }, (_, n) =>
-        wave((2 * Math.PI * ((bin * n) % WINDOW)) / WINDOW) * (0.5 - 0.5 * Math.cos((2 * Math.PI * n) / (WINDOW - 1))))));
+      Float64Array.from({ length: WINDOW / 2 + 1 }, (_, n) => wave((2 * Math.PI * ((bin * n) % WINDOW)) / WINDOW))));
     const mel = (/** @type {number} */ hz) => 2595 * Math.log10(1 + hz / 700);
     const edges = Array.from({ length: NUM_BANDS + 2 }, (_, i) =>
       700 * (10 ** ((mel(80) + (i * (mel(HIGHEST_HZ) - mel(80))) / (NUM_BANDS + 1)) / 2595) - 1));
@@ -92,11 +93,24 @@ class SpeechFeatures {
   push(hop) {
     this.kept.copyWithin(0, HOP);
     this.kept.set(hop, WINDOW - HOP);
-    const power = this.waves.map((pair) => pair.reduce((sum, wave) => {
-      let dot = 0;
-      for (let n = 0; n < WINDOW; n++) dot += wave[n] * this.kept[n];
-      return sum + (dot * dot) / WINDOW;
-    }, 0));
+    const sound = this.kept.map((value, n) => value * this.window[n]);
+    // Waves of a whole number of turns are even or odd about the middle: half of the sums will do.
+    const sums = new Float64Array(WINDOW / 2 + 1);
+    const differences = new Float64Array(WINDOW / 2 + 1);
+    [sums[0], sums[WINDOW / 2]] = [sound[0], sound[WINDOW / 2]];
+    for (let n = 1; n < WINDOW / 2; n++) {
+      sums[n] = sound[n] + sound[WINDOW - n];
+      differences[n] = sound[n] - sound[WINDOW - n];
+    }
+    const power = this.waves.map(([even, odd]) => {
+      let real = 0;
+      let imaginary = 0;
+      for (let n = 0; n <= WINDOW / 2; n++) {
+        real += even[n] * sums[n];
+        imaginary += odd[n] * differences[n];
+      }
+      return (real * real + imaginary * imaginary) / WINDOW;
+    });
     const floor = Math.log(QUIETEST);
     const bands = Float32Array.from(this.filters, (filter) =>
       Math.log(power.reduce((sum, value, bin) => sum + value * filter[bin], QUIETEST)));

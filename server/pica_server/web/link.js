@@ -212,6 +212,7 @@ export class Link {
 
   /** Set an entry of our metadata; empty takes it away. @param {string} key @param {string} value */
   describe(key, value) {
+    if ((this.metadata[key] ?? "") === value) return;
     const { [key]: _, ...others } = this.metadata;
     this.metadata = value ? { ...others, [key]: value } : others;
     if (this.isTelling) return;
