@@ -50,6 +50,8 @@ UNIT_OFF = 0.15
 """How far a head's size may be from the mean head's for a unit to be believed."""
 SIDE = 640
 SURE = 0.6
+FACE_M, NO_FACE_M = 0.0014, 0.0035
+"""Landmarks that lie so near to a face's, in the median, are surely of one, or of none."""
 FINDING = ((1.05, 0.0), (0.6, 0.25))
 """Width of what is looked at for a face, and how far above the middle, in sizes of the scan."""
 VIEWS = [(a, e) for e in (-12.0, 10.0) for a in (-44.0, -22.0, 0.0, 22.0, 44.0)]
@@ -176,10 +178,11 @@ def _unit(scale: float) -> str:
 
 
 def _find(scan: Scan, views: MeshViews, networks: FaceNetworks) -> Similarity:
-    """Where the head is, about: the view in which the networks are surest."""
+    """Where the head is, about: the view whose landmarks are most like a face's. The networks alone
+    are sure of faces that are upside down, too."""
     low, high = scan.points.min(0), scan.points.max(0)
     size, middle = float((high - low).max()), (low + high) / 2
-    best: tuple[float, Similarity | None] = (SURE, None)
+    best: tuple[float, Similarity | None] = (NO_FACE_M, None)
     for width, above in FINDING:
         for turn in _turns():
             views.move((scan.points - middle) @ turn.T / size)
@@ -188,16 +191,19 @@ def _find(scan: Scan, views: MeshViews, networks: FaceNetworks) -> Similarity:
                 vertical_fov=2 * np.arctan(width / 2 / 2.5), width=SIDE, height=SIDE,
             )  # fmt: skip
             places, weights, sure = _landmarks(views, camera, networks)
-            if sure <= best[0] or (weights > 0).sum() < LANDMARKS // 2:
+            if sure <= SURE or (weights > 0).sum() < LANDMARKS // 2:
                 continue
             face = fit_face(landmark_places(), places, weights, with_shapes=False)
+            off_m = float(np.median(face.residual_m[weights > 0]))
+            if off_m > best[0]:
+                continue
             pose = Similarity(
                 scale=face.pose.scale * size,
                 rotation=turn.T @ face.pose.rotation,
                 translation=size * face.pose.translation @ turn + middle,
             )
-            best = sure, pose
-            if sure > 0.98 and face.pose.rotation[1, 1] > 0.8:
+            best = off_m, pose
+            if off_m < FACE_M and face.pose.rotation[1, 1] > 0.8:
                 return pose
         if best[1] is not None:
             return best[1]
@@ -264,6 +270,10 @@ def _fit(scan: Scan, views: MeshViews, networks: FaceNetworks, rough: Similarity
         face = fit_face(places, measured, weights, scale=UNITS.get(_unit(average), average))
         pose = face.pose
     assert face is not None
+    if np.median(face.residual_m[weights > 0]) > NO_FACE_M:
+        raise CaptureError(
+            f"{scan.path}: what looks like a face is none by its shape; scan a whole head, upright"
+        )
     return face
 
 
