@@ -250,7 +250,7 @@ def draw_person(seed: int, **chosen: Any) -> Person:
         "coefficients": drawn + (1.0 if man else -1.0) * read_model().male,
         "sex": sex, "age": age, "skin": round(skin, 2),
         "redness": round(float(random.uniform(0.5, 1.0) * np.interp(skin, [1, 6], [1.1, 0.4])), 2),
-        "freckles": round(max(0.0, float(random.normal(-0.1, 0.35))) * (skin < 3.2), 2),
+        "freckles": round(float(np.clip(random.normal(-0.1, 0.35), 0, 1)) * (skin < 3.2), 2),
         "moles": round(float(random.uniform(0.1, 0.7)), 2),
         "hair": pick(styles), "hair_colour": pick(colours),
         "grey": round(float(np.clip(random.uniform(0.2, 1.2) * old, 0, 0.95)), 2),

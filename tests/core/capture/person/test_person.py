@@ -54,6 +54,10 @@ def test_a_seed_makes_one_person_and_a_choice_stands() -> None:
     assert max(np.abs(draw_person(4, coefficients=9 * read_model().male).coefficients)) == CLIP
 
 
+def test_a_seed_of_many_freckles_is_a_person_too() -> None:
+    assert draw_person(20905).freckles == 1.0
+
+
 def test_a_person_comes_back_from_its_file(tmp_path: Path) -> None:
     person = draw_person(7, sex="male", beard="stubble")
     path = tmp_path / "person.json"
