@@ -257,8 +257,15 @@ function checkManifest(manifest) {
   if (![0, 1, 2].every((axis) => manifest.bounds_min_m[axis] < manifest.bounds_max_m[axis])) {
     throw new AvatarError("manifest.bounds_min_m is not below bounds_max_m");
   }
-  if (typeof manifest.name !== "string" || manifest.name.length < 1 || manifest.name.length > 200) {
-    throw new AvatarError("manifest.name must be 1 to 200 characters");
+  const card = manifest.model_card;
+  if (typeof card !== "object" || card === null || Array.isArray(card) || Object.keys(card).length > 64) {
+    throw new AvatarError("manifest.model_card must be a map of at most 64 entries");
+  }
+  for (const name of ["name", "identity", "licence"]) {
+    const text = manifest[name];
+    if (typeof text !== "string" || !/^.{1,200}$/u.test(text) || /(?! )[\p{C}\p{Z}]/u.test(text)) {
+      throw new AvatarError(`manifest.${name} must be 1 to 200 printable characters`);
+    }
   }
   return manifest;
 }
