@@ -1,7 +1,7 @@
 """Lay the face model over a scan: where the head is, who it is, and what is its alone.
 
     find      the scan drawn from all sides, until the networks see a face: up, front, unit
-    fit       landmarks from several views, lifted by the scan's depth: pose, size, identity, shapes
+    fit       landmarks from several views, lifted by the scan's depth: pose, size, identity
     refine    the model's skin drawn to the nearest surface of the scan, smoothly
 
 The refinement moves vertices by d, which minimises
@@ -263,11 +263,13 @@ def _fit(scan: Scan, views: MeshViews, networks: FaceNetworks, rough: Similarity
         )
         weights = (count >= 2) / (1 + (apart / 0.002) ** 2)
         measured = pose.apply(middle)
-        face = fit_face(places, measured, weights)
+        face = fit_face(places, measured, weights, with_shapes=False)
         # Size and the modes of size cannot both be found: of an unknown unit, a head is average.
         average = face.pose.scale * _size(places.at(face.coefficients, face.shapes))
         average /= _size(places.mean_m)
-        face = fit_face(places, measured, weights, scale=UNITS.get(_unit(average), average))
+        scale = UNITS.get(_unit(average), average)
+        # A scan is asked to be at rest: shapes would take a part of who it is.
+        face = fit_face(places, measured, weights, with_shapes=False, scale=scale)
         pose = face.pose
     assert face is not None
     if np.median(face.residual_m[weights > 0]) > NO_FACE_M:
