@@ -63,7 +63,7 @@ RECORD = """
 """
 RATE_HZ = 48_000
 LIKE_ENOUGH = 0.8
-"""Correlation of the waveforms: Opus keeps the sound rather than its phases (measured: 0.9)."""
+"""Correlation of the waveforms: Opus keeps the sound rather than its phases (measured: 0.8)."""
 
 
 def _voice(path: Path) -> FloatArray:
