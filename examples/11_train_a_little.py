@@ -21,7 +21,7 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS
 from pica_core.train.data import TrainingData
 from pica_core.train.export import make_avatar
-from pica_core.train.train import Losses, open_trainer
+from pica_core.train.train import open_trainer
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
@@ -34,7 +34,7 @@ def make_subject() -> PersonSubject:
     return PersonSubject(draw_person(7), bake_size=256, self_shadow=False, coarse=True)
 
 
-def show(step: int, phase: str, losses: Losses) -> bool:
+def show(step: int, phase: str, losses: dict[str, float]) -> bool:
     """Print a step's losses; True goes on."""
     print(f"{step:3d} {phase:9} " + "  ".join(f"{n} {v:.4f}" for n, v in losses.items()))
     return True

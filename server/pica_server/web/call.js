@@ -107,7 +107,7 @@ class Member {
   }
 
   get isVoiceMuted() {
-    return !this.voice || this.peer.metadata.voice === "muted" || this.isStopped(this.voice);
+    return Boolean(this.voice) && (this.peer.metadata.voice === "muted" || this.isStopped(this.voice));
   }
 
   get isRecording() {

@@ -78,7 +78,7 @@
  * @property {T | null} avatar Once it is here, checked and read.
  * @property {string} note Why there is no face, or what is wrong, in a few words; else empty.
  * @property {boolean} isAway Whether the connection is lost and may come back.
- * @property {boolean} isVoiceMuted
+ * @property {boolean} isVoiceMuted False for those who send no voice.
  * @property {boolean} isFaceMuted
  * @property {boolean} isSpeaking
  * @property {boolean} isRecording
