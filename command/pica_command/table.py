@@ -24,6 +24,7 @@ from typing import Any, Final, NoReturn
 DISTRIBUTION: Final = "pica-telepresence"
 """The name under which this package is installed."""
 _MODULES: Final = {
+    "dracopy": "DracoPy",
     "pillow": "PIL",
     "nats-py": "nats",
     "imgui-bundle": "imgui_bundle",
