@@ -29,16 +29,11 @@ import sys
 
 ABSENT = {"numpy", "torch", "onnxruntime", "onnx", "moderngl", "pica_core", "pica_client"}
 
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ABSENT:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, Absent())
+sys.modules |= dict.fromkeys(ABSENT)
 from pica_command.main import main
 
 code = main()
-assert not ABSENT & set(sys.modules), ABSENT & set(sys.modules)
+assert not any(map(sys.modules.get, ABSENT)), ABSENT & set(sys.modules)
 sys.exit(code)
 """
 
