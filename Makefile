@@ -23,10 +23,10 @@ libraries: .venv/.ready-test
 static: lint types imports docs extras
 
 # Before a commit: format, lint and the pure tests, in less than a minute on two cores. The folders
-# that are left out have no pure tests (but one); to import torch for them would take seconds.
+# that are left out have no pure tests (but one); torch or a browser would take seconds.
 quick: lint
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --hypothesis-profile quick \
-		-m "unit and not slow" --ignore tests/call --ignore tests/core/model \
+		-m "unit and not slow" --ignore tests/call --ignore tests/web --ignore tests/core/model \
 		--ignore tests/core/train $(PYTEST)
 
 lint: .venv/.ready-test
