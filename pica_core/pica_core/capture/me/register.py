@@ -99,7 +99,7 @@ class Registered:
         scan: With its image the right way up.
         face: Its fit; ``face.pose`` leads to the scan's frame.
         rest_m: Vertices of the full model at rest, with what is the scan's alone. ``[P, 3]``.
-        cloud: The scan at rest as far as it was not, head frame.
+        cloud: The scan, head frame.
         seen: How well each vertex was seen, 0 to 1. ``[P]``.
         unit: ``m``, ``cm``, ``mm``, ``inch``, or empty: the size was found from the face.
         up: The axis of the file that points up.
@@ -133,14 +133,12 @@ def register(scan: Scan, networks: FaceNetworks) -> Registered:
     unit = _unit(face.pose.scale)
     model = read_model()
     cloud = sample(scan, face.pose)
-    shape = np.tensordot(face.coefficients, model.modes_m, 1)
-    acted = np.tensordot(face.shapes, model.mean.motion_m, 1).astype(np.float64)
-    start = model.mean.rest_m + shape + acted
+    start = model.mean.rest_m + np.tensordot(face.coefficients, model.modes_m, 1)
     moved, seen, off_m = refine(model, start, cloud)
     return Registered(
         scan=scan,
         face=face,
-        rest_m=moved - acted,
+        rest_m=moved,
         cloud=cloud,
         seen=seen,
         unit=unit,
