@@ -15,7 +15,7 @@ import {
 const HANDSHAKE_S = 5;
 const FIRST_WAIT_S = 0.25;
 const LONGEST_WAIT_S = 8;
-/** A connection that held for so long begins the waits anew. */
+/** A connection that held for so long starts the waits again. */
 const SETTLED_S = 5;
 /** How long one who was in the room is refused before that is final. */
 const RETURN_S = 60;

@@ -23,7 +23,7 @@ import { clamp, column, headMatrix } from "./space.js";
  * @property {Person | null} self Whom the small picture in the lower left corner shows.
  * @property {number} rise How far above the lower border that is, part of the height.
  */
-/** @typedef {{person: Person, rect: number[] | null}} Label Somebody, and left, top, right, bottom of where they may be, pixels. */
+/** @typedef {{person: Person, rect: number[] | null}} Label A participant, and left, top, right, bottom of where they may be, pixels. */
 /** @typedef {{placement: Placement, entry: Entry, person: Person}} Placed */
 
 /** @type {Record<string, number>} */
@@ -65,7 +65,7 @@ export class Scene {
     this.isCalm = false;
   }
 
-  /** Why somebody is a placeholder; empty if nothing is wrong. @param {string} id */
+  /** Why a participant is a placeholder; empty if nothing is wrong. @param {string} id */
   problemOf(id) {
     return this._entries.get(id)?.problem ?? "";
   }

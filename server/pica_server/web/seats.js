@@ -222,7 +222,7 @@ const centred = (count) => Array.from({ length: count }, (_, index) => index - (
 const away = ({ camera, target }) => length(minus(camera, target));
 
 /**
- * How far the view may turn before somebody is seen from where their avatar was not trained.
+ * How far the view may turn before a participant is seen from where their avatar was not trained.
  * @param {SeatPlan} plan @param {number[][]} spans Of each seat: least and most yaw, least and most pitch, degrees.
  * @returns {[number, number, number, number]} Least and most yaw, least and most pitch, radians.
  */

@@ -73,7 +73,7 @@
  * @typedef {object} Participant
  * @property {string} id Unique in the call.
  * @property {string} name To be shown: with a number where two have the same.
- * @property {number} place Rises with the order of coming, and is kept when somebody comes back.
+ * @property {number} place Rises with the order of coming, and is kept when a participant comes back.
  * @property {string} avatarId SHA-256 of the avatar file; empty: sends no face.
  * @property {T | null} avatar Once it is here, checked and read.
  * @property {string} note Why there is no face, or what is wrong, in a few words; else empty.
@@ -117,7 +117,7 @@
 /**
  * A call; `call.js` exports the class `Call`, an `EventTarget` with these events:
  *
- * - `people`: somebody came, went or changed; look at `participants` again.
+ * - `people`: a participant came, went or changed; look at `participants` again.
  * - `status`: look at `status` again.
  * - `voice`: look at `voice` again.
  *
