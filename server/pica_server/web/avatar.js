@@ -56,13 +56,6 @@ export class Avatar {
     /** @type {Map<number, Uint32Array>} */
     this._faces = new Map(this.levels.map((level) => [level, this._indices(level)]));
     this._parts = "static.parts" in entries ? this.integers("static.parts") : null;
-    /** Those of the latent stream. @type {Map<string, import("./types.js").Tensor>} */
-    this.tensors = new Map();
-    for (const [name, { dtype, shape }] of Object.entries(entries)) {
-      if (name.startsWith("stream.")) {
-        this.tensors.set(name, { dtype, shape, data: this.integers(name) });
-      }
-    }
   }
 
   /** @param {string} name */
@@ -347,13 +340,18 @@ function checkShapes(spec, entries) {
     }
     wanted["level.64.expression.local"] = [32, 32, 64];
   }
+  const coefficients = side("stream.table_index", 0, 128);
+  Object.assign(wanted, {
+    "stream.mean": [256], "stream.analysis": [256, coefficients], "stream.synthesis": [coefficients, 256],
+    "stream.synthesis_shift": [1], "stream.table_index": [coefficients, 6],
+  });
   for (const [name, shape] of Object.entries(wanted)) {
     if (String(entries[name]?.shape) !== String(shape)) {
       throw new AvatarError(`tensor ${name} has shape [${entries[name]?.shape ?? "none"}]; [${shape}] is needed`);
     }
   }
   for (const [name, { dtype }] of Object.entries(entries)) {
-    if (!(name in wanted) && !name.startsWith("stream.")) {
+    if (!(name in wanted)) {
       throw new AvatarError(`tensor ${name.slice(0, 80)} is unknown`);
     }
     const isIndex = name.endsWith(".faces") || name === "linear.rank";

@@ -4,8 +4,9 @@
  * @module
  */
 
-import { Link, seconds } from "./link.js";
-import { StreamProfile, LatentError, decodeFace } from "./latent_stream.js";
+import { seconds } from "./clock.js";
+import { Link } from "./link.js";
+import { LatentError, decodeFace, StreamProfile } from "./latent_stream.js";
 import { Playout } from "./playout.js";
 import { Guard, readSecret } from "./sframe.js";
 import { VOICE_TRACK, Voice } from "./voice.js";
@@ -134,7 +135,7 @@ class Member {
   async dress(tries = 0) {
     try {
       const avatar = await this.call.avatars.get(this.avatarId);
-      this.profile = new StreamProfile(avatar.tensors);
+      this.profile = new StreamProfile((name) => avatar.integers(name));
       this.avatar = avatar;
       this.trouble = "";
     } catch (error) {
@@ -167,12 +168,13 @@ class Member {
       this.played = this.playout.sampleAt(now, this.call.heardUs(this.id, now));
     }
     if (this.played === null) return null;
-    const { sample: { latent, rotation, translation }, capturedUs, isConcealed } = this.played;
+    const { values, isConcealed } = this.played;
+    const [latent, rotation, translation] = [values.subarray(0, 256), values.subarray(256, 259), values.subarray(259)];
     /** @type {Face["status"]} */
     let status = this.isHeld || isConcealed ? "concealed" : "live";
     if (this.peer.metadata.face === "lost") status = "away";
     else if (this.told && now - this.arrivedS > STALE_AFTER_S) status = "stale";
-    return { latent, rotation, translation, capturedUs, status };
+    return { latent, rotation, translation, status };
   }
 
   /** @param {0 | 1 | 2 | 4} every */
@@ -318,7 +320,7 @@ export class Call extends EventTarget {
     const peer = { peer_id: "self", name, tracks, metadata: {}, identity: "", is_name_assured: false };
     const own = new Member(this, peer, -1, name);
     own.avatar = avatar;
-    own.profile = new StreamProfile(avatar.tensors);
+    own.profile = new StreamProfile((name) => avatar.integers(name));
     this.self = own;
     let sequence = 0;
     const face = new OwnFace(avatar, mouth, (payload, capturedUs, multiple) => {

@@ -5,8 +5,8 @@
  * @module
  */
 
-import { StreamProfile, encodeFace } from "./latent_stream.js";
-import { seconds } from "./link.js";
+import { seconds } from "./clock.js";
+import { encodeFace, StreamProfile } from "./latent_stream.js";
 
 /** @import { AvatarFile } from "./types.js" */
 /** @typedef {Record<string, {shape: number[], values: Float32Array}>} Weights */
@@ -170,7 +170,7 @@ export class OwnFace {
    * @param {(payload: Uint8Array, capturedUs: number, multiple: number) => void} send
    */
   constructor(avatar, mouth, send) {
-    this.profile = new StreamProfile(avatar.tensors);
+    this.profile = new StreamProfile((name) => avatar.integers(name));
     const names = [0, 1, 2].flatMap((index) => [`encoder.${index}.weight`, `encoder.${index}.bias`]);
     const tensors = new Map(names.map((name) => [name, avatar.floats(name)]));
     this.encoder = { floats: (/** @type {string} */ name) => /** @type {Float32Array} */ (tensors.get(name)) };
@@ -207,7 +207,7 @@ export class OwnFace {
       arkit[shape] = Math.max(1 - Math.abs((2 * (now - this.blinkS)) / BLINK_S - 1), 0);
     }
     const rotation = [0.03 * Math.sin(now / 2.3), 0.05 * Math.sin(now / 3.7), 0.01 * Math.sin(now / 5.1)];
-    const face = { latent: encode(this.encoder, arkit), rotation, translation: [0, 0, 0] };
+    const face = Float32Array.from([...encode(this.encoder, arkit), ...rotation, 0, 0, 0]);
     this.send(encodeFace(this.profile, face), Math.round(capturedS * 1e6), MULTIPLES[this.phase++ % 4]);
   }
 

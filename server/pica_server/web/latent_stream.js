@@ -1,16 +1,20 @@
 /**
- * The latent stream: a few bytes to a face, and back. Every frame is decoded alone, in whole
- * numbers below 2^53, which floats hold exactly; so all receivers see the same latents.
- *
- * The format is that of docs/wire.md; `pica_core.codec` is the Python side.
- *
- * @module
+ * The latent stream: a few bytes to a face, and back. Every frame is decoded alone, in whole numbers
+ * below 2^53, which floats hold exactly; so all receivers see the same face. The format is that of
+ * docs/wire.md; `pica_core.codec` is the Python side.
  */
 
-/** @import { AvatarFile, LatentSample, Tensor } from "./types.js" */
+/** @typedef {ArrayLike<number>} Numbers */
+/**
+ * A face at one moment. Its 262 values: the latent (8 rows, 8 columns, 4 channels), the rotation
+ * from head to seat (a rotation vector, radians) and the translation (metres).
+ * @typedef {{values: Float32Array, isStill: boolean}} Sample Still: nothing changes until the next one.
+ */
+/** @typedef {{frequencies: number[], starts: number[], symbols: Uint8Array}} Table */
+/** @typedef {[start: number, frequency: number]} Range */
 
-const NUM_LATENT = 256;
-const NUM_POSE = 6;
+export const NUM_LATENT = 256;
+export const NUM_VALUES = NUM_LATENT + 6;
 const TOTAL_BITS = 14;
 const TOTAL = 1 << TOTAL_BITS;
 const FULL_RANGE = 2 ** 48;
@@ -20,13 +24,13 @@ const ESCAPE = 20;
 const ACTIVITY_LEVELS = [1, 4, 9, 20, 40];
 const ACTIVITY_WINDOW = 16;
 const MAX_REST_BITS = 13;
-const HAS_LATENT = 1;
-const HAS_POSE = 2;
-const IS_STILL = 4;
+const [HAS_LATENT, HAS_POSE, IS_STILL] = [1, 2, 4];
 const POSE_UNIT = 2 ** -14;
 const LATENT_UNIT = 2 ** -12;
 const MAX_LATENT = 1 << 20;
 const MAX_COEFFICIENT = 1 << 16;
+const NUM_TABLES = 121;
+const MAX_SHIFT = 24;
 /** Longer latents are shortened to this. */
 const MAX_LENGTH = 128;
 /** By quality, of latent, rotation and translation. */
@@ -41,326 +45,227 @@ const BIT_PRICE = 0.12;
 /** What cannot be read as a frame. */
 export class LatentError extends Error {}
 
-/** Frequencies of one alphabet, and the symbol of each slot. */
-class Table {
-  /** @param {readonly number[]} frequencies Which sum to `TOTAL`. */
-  constructor(frequencies) {
-    this.frequencies = frequencies;
-    /** @type {number[]} */
-    this.starts = [];
-    this.symbols = new Uint8Array(TOTAL);
-    let start = 0;
-    frequencies.forEach((frequency, symbol) => {
-      this.starts.push(start);
-      this.symbols.fill(symbol, start, start + frequency);
-      start += frequency;
-    });
-  }
+/** @type {(frequencies: number[]) => Table} */
+function tableOf(frequencies) {
+  const starts = frequencies.map((_, symbol) => frequencies.slice(0, symbol).reduce((a, b) => a + b, 0));
+  const symbols = new Uint8Array(TOTAL);
+  starts.forEach((start, symbol) => symbols.fill(symbol, start, start + frequencies[symbol]));
+  return { frequencies, starts, symbols };
 }
 
-const QUALITY_TABLE = new Table([192, 192, 192, 11426, 3810, 191, 191, 190]);
-const HEADER_TABLE = new Table([1, 2886, 2, 13169, 1, 59, 1, 265]);
-const ROTATION_TABLE = new Table(
+const QUALITY_TABLE = tableOf([192, 192, 192, 11426, 3810, 191, 191, 190]);
+const HEADER_TABLE = tableOf([1, 2886, 2, 13169, 1, 59, 1, 265]);
+const ROTATION_TABLE = tableOf(
   [4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1]);
-const TRANSLATION_TABLE = new Table(
+const TRANSLATION_TABLE = tableOf(
   [4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1]);
-
-/** @type {Map<number, Table>} */
-const coefficientTables = new Map();
+const POSE_TABLES = [ROTATION_TABLE, TRANSLATION_TABLE].flatMap((table) => [table, table, table]);
+/** @type {Table[]} */
+const coefficientTables = [];
 
 /** @param {number} index 11 a + b. @returns {Table} */
 export function coefficientTable(index) {
-  let table = coefficientTables.get(index);
-  if (table === undefined) {
+  if (!coefficientTables[index]) {
     const zero = 1 + 3 * Math.floor(index / 11);
     const ratio = 1 + 3 * (index % 11);
     const weights = [2 ** 30];
-    while (weights.length < ESCAPE) {
-      weights.push(Math.floor((weights[weights.length - 1] * ratio) / 32));
-    }
+    while (weights.length < ESCAPE) weights.push(Math.floor((weights[weights.length - 1] * ratio) / 32));
     weights[ESCAPE - 1] = Math.floor((weights[ESCAPE - 1] * 32) / (32 - ratio));
     const sum = weights.reduce((a, b) => a + b);
     const spare = (TOTAL - 2 * ESCAPE - 1) * (32 - zero);
     // Products reach 2^49 and the divisor 2^41: the quotient of floats rounds to no other integer.
     const sides = weights.map((weight) => 1 + Math.floor((spare * weight) / (64 * sum)));
     const middle = TOTAL - 2 * sides.reduce((a, b) => a + b);
-    table = new Table([middle, ...sides.flatMap((side) => [side, side])]);
-    coefficientTables.set(index, table);
+    coefficientTables[index] = tableOf([middle, ...sides.flatMap((side) => [side, side])]);
   }
-  return table;
+  return coefficientTables[index];
 }
-
-/** Takes the symbols of one payload, in order. */
-class SymbolReader {
-  /** @param {Uint8Array} payload */
-  constructor(payload) {
-    if (payload.length > MAX_PAYLOAD_BYTES) {
-      throw new LatentError(`payload of ${payload.length} bytes; the limit is ${MAX_PAYLOAD_BYTES}`);
-    }
-    if (payload.length && !payload[payload.length - 1]) {
-      throw new LatentError("payload ends with a zero byte");
-    }
-    this.payload = payload;
-    this.next = 6;
-    this.width = FULL_RANGE;
-    this.code = 0;
-    for (let i = 0; i < 6; i++) this.code = this.code * 256 + (payload[i] ?? 0);
-  }
-
-  slot() {
-    this.width = Math.floor(this.width / TOTAL);
-    const slot = Math.floor(this.code / this.width);
-    if (slot >= TOTAL) throw new LatentError("payload holds a code that no encoder writes");
-    return slot;
-  }
-
-  /** @param {number} start @param {number} frequency */
-  take(start, frequency) {
-    this.code -= start * this.width;
-    this.width *= frequency;
-    while (this.width < LEAST_RANGE) {
-      this.code = this.code * 256 + (this.payload[this.next] ?? 0);
-      this.width *= 256;
-      this.next += 1;
-    }
-  }
-
-  /** @param {Table} table @returns {number} */
-  read(table) {
-    const symbol = table.symbols[this.slot()];
-    this.take(table.starts[symbol], table.frequencies[symbol]);
-    return symbol;
-  }
-
-  /** @param {number} bits @returns {number} */
-  readUniform(bits) {
-    const width = TOTAL >> bits;
-    const value = Math.floor(this.slot() / width);
-    this.take(value * width, width);
-    return value;
-  }
-
-  finish() {
-    if (this.payload.length > this.next) throw new LatentError("payload has bytes too many");
-  }
-}
-
-/** The five `stream.*` tensors of an avatar file: type, least and largest value. */
-const ARRAYS = /** @type {const} */ ({
-  mean: ["I32", -MAX_LATENT, MAX_LATENT],
-  analysis: ["I16", -(2 ** 15), 2 ** 15 - 1],
-  synthesis: ["I16", -(2 ** 15), 2 ** 15 - 1],
-  synthesis_shift: ["I32", 0, 24],
-  table_index: ["U8", 0, 120],
-});
 
 /** What a frame's coefficients mean for one avatar, and how likely they are. */
 export class StreamProfile {
   /**
-   * Throws an `Error` that names what is missing or out of its limits.
-   *
-   * @param {AvatarFile["tensors"]} tensors
+   * Throws an `Error` if the numbers are none.
+   * @param {(name: string) => Numbers} tensor Gives a tensor of the avatar file by its name.
    */
-  constructor(tensors) {
-    const count = tensors.get("stream.table_index")?.shape[0] ?? 0;
-    if (count < 1 || count > 128) throw new Error(`stream.table_index has ${count} rows`);
-    /** @type {Record<keyof typeof ARRAYS, readonly number[]>} */
-    const shapes = {
-      mean: [NUM_LATENT], analysis: [NUM_LATENT, count], synthesis: [count, NUM_LATENT],
-      synthesis_shift: [1], table_index: [count, 6],
-    };
-    /** @param {keyof typeof ARRAYS} name @returns {Tensor["data"]} */
-    const checked = (name) => {
-      const tensor = tensors.get(`stream.${name}`);
-      const [dtype, low, high] = ARRAYS[name];
-      if (tensor?.dtype !== dtype || String(tensor.shape) !== String(shapes[name])) {
-        throw new Error(`stream.${name} must be ${dtype} [${shapes[name]}]`);
-      }
-      if (!tensor.data.every((value) => value >= low && value <= high)) {
-        throw new Error(`stream.${name} must be in ${low}..${high}`);
-      }
-      return tensor.data;
-    };
-    for (const name of tensors.keys()) {
-      if (name.startsWith("stream.") && !(name.slice(7) in ARRAYS)) {
-        throw new Error(`tensor ${name.slice(0, 80)} is unknown`);
-      }
+  constructor(tensor) {
+    const indices = Array.from(tensor("stream.table_index"));
+    const [shift] = Array.from(tensor("stream.synthesis_shift"));
+    if (indices.some((index) => index >= NUM_TABLES) || !(shift >= 0 && shift <= MAX_SHIFT)) {
+      throw new Error(`stream.table_index is beyond ${NUM_TABLES - 1}, or its shift beyond ${MAX_SHIFT}`);
     }
-    this.mean = checked("mean");
-    this.analysis = checked("analysis");
-    this.synthesis = checked("synthesis");
-    this.scale = 2 ** checked("synthesis_shift")[0];
-    this.count = count;
-    const index = checked("table_index");
-    this.tables = Array.from({ length: count }, (_, k) =>
-      Array.from(index.slice(6 * k, 6 * k + 6), coefficientTable));
+    this.count = indices.length / 6;
+    this.tables = Array.from({ length: this.count }, (_, k) =>
+      indices.slice(6 * k, 6 * k + 6).map(coefficientTable));
+    this.scale = 2 ** shift;
+    this.mean = tensor("stream.mean");
+    this.analysis = tensor("stream.analysis");
+    this.synthesis = tensor("stream.synthesis");
   }
+}
 
-  /** @param {ArrayLike<number>} coefficients The first `count`. @returns {Float32Array} */
-  synthesise(coefficients) {
-    const { mean, synthesis, scale, count } = this;
-    const latent = new Float32Array(NUM_LATENT);
-    const half = Math.floor(scale / 2);
-    for (let i = 0; i < NUM_LATENT; i++) {
-      let sum = 0;
-      for (let k = 0; k < count; k++) sum += synthesis[k * NUM_LATENT + i] * coefficients[k];
-      latent[i] = clamp(Math.floor((sum + half) / scale) + mean[i], MAX_LATENT) * LATENT_UNIT;
+/** The symbols of one payload, in order. @param {Uint8Array} payload */
+function openPayload(payload) {
+  if (payload.length > MAX_PAYLOAD_BYTES) throw new LatentError(`payload of ${payload.length} bytes`);
+  if (payload.length && !payload[payload.length - 1]) throw new LatentError("payload ends with a zero byte");
+  let [next, width, code] = [6, FULL_RANGE, 0];
+  for (let at = 0; at < next; at++) code = code * 256 + (payload[at] ?? 0);
+  const slot = () => {
+    width = Math.floor(width / TOTAL);
+    const found = Math.floor(code / width);
+    if (found >= TOTAL) throw new LatentError("payload holds a code that no encoder writes");
+    return found;
+  };
+  /** @type {(start: number, frequency: number) => void} */
+  const take = (start, frequency) => {
+    code -= start * width;
+    width *= frequency;
+    while (width < LEAST_RANGE) {
+      code = code * 256 + (payload[next++] ?? 0);
+      width *= 256;
     }
-    return latent;
-  }
+  };
+  return {
+    /** @param {Table} table */
+    symbol(table) {
+      const symbol = table.symbols[slot()];
+      take(table.starts[symbol], table.frequencies[symbol]);
+      return symbol;
+    },
+    /** @param {number} bits */
+    uniform(bits) {
+      const size = TOTAL >> bits;
+      const value = Math.floor(slot() / size);
+      take(value * size, size);
+      return value;
+    },
+    finish() {
+      if (payload.length > next) throw new LatentError("payload has bytes too many");
+    },
+  };
+}
 
-  /** @param {Float32Array} latent @returns {number[]} */
-  analyse(latent) {
-    const offset = Array.from(latent, (value, i) =>
-      clamp(roundHalfEven(value / LATENT_UNIT), MAX_LATENT) - this.mean[i]);
-    return Array.from({ length: this.count }, (_, k) => {
-      const sum = offset.reduce((all, value, i) => all + value * this.analysis[i * this.count + k], 0);
-      return clamp(Math.floor((sum + 2 ** 15) / 2 ** 16), MAX_COEFFICIENT / 2);
-    });
-  }
+/**
+ * Go through the coefficients of a face: each has the table that those before it choose.
+ * @type {(profile: StreamProfile, visit: (table: Table, place: number) => number) => number[]}
+ */
+function eachCoefficient({ tables }, visit) {
+  let activity = 0;
+  /** @type {number[]} */
+  const values = [];
+  tables.forEach((contexts, place) => {
+    const context = ACTIVITY_LEVELS.filter((level) => level <= activity).length;
+    values.push(visit(contexts[context], place));
+    activity += Math.abs(values[place]) - Math.abs(values[place - ACTIVITY_WINDOW] ?? 0);
+  });
+  return values;
 }
 
 /**
  * Read the coefficients of one frame; throws a `LatentError` if no encoder wrote it.
- *
- * @param {StreamProfile} profile
- * @param {Uint8Array} payload
- * @returns {{coefficients: number[], isStill: boolean}}
+ * @param {StreamProfile} profile @param {Uint8Array} payload
  */
 export function decodeFrame(profile, payload) {
-  const reader = new SymbolReader(payload);
-  const steps = stepsOf(reader.read(QUALITY_TABLE), profile.count);
-  const header = reader.read(HEADER_TABLE);
-  const values = new Array(profile.count + NUM_POSE).fill(0);
-  if (header & HAS_LATENT) readFace(reader, values, profile.tables);
-  for (let i = 0; header & HAS_POSE && i < NUM_POSE; i++) {
-    const length = reader.read(i < 3 ? ROTATION_TABLE : TRANSLATION_TABLE);
-    if (!length) continue;
-    const sign = reader.readUniform(1) ? -1 : 1;
-    values[profile.count + i] = sign * (2 ** (length - 1) + reader.readUniform(length - 1));
-  }
+  const reader = openPayload(payload);
+  const steps = stepsOf(reader.symbol(QUALITY_TABLE), profile.count);
+  const header = reader.symbol(HEADER_TABLE);
+  const face = header & HAS_LATENT ? eachCoefficient(profile, (table) => {
+    const symbol = reader.symbol(table);
+    let magnitude = (symbol + 1) >> 1;
+    if (magnitude >= ESCAPE) {
+      const length = reader.uniform(4);
+      if (length > MAX_REST_BITS) throw new LatentError(`a rest of ${length} bits`);
+      magnitude += 2 ** length + reader.uniform(length) - 1;
+    }
+    return symbol & 1 ? magnitude : 0 - magnitude;
+  }) : new Array(profile.count).fill(0);
+  const pose = POSE_TABLES.map((table) => {
+    const length = header & HAS_POSE ? reader.symbol(table) : 0;
+    if (!length) return 0;
+    const sign = reader.uniform(1) ? -1 : 1;
+    return sign * (2 ** (length - 1) + reader.uniform(length - 1));
+  });
   reader.finish();
-  const coefficients = values.map((value, i) => value * steps[i]);
+  const coefficients = [...face, ...pose].map((value, i) => value * steps[i]);
   if (coefficients.some((value) => Math.abs(value) > MAX_COEFFICIENT)) {
     throw new LatentError(`a coefficient is beyond the limit of ${MAX_COEFFICIENT}`);
   }
   return { coefficients, isStill: Boolean(header & IS_STILL) };
 }
 
-/** @param {SymbolReader} reader @param {number[]} values @param {readonly Table[][]} tables */
-function readFace(reader, values, tables) {
-  let activity = 0;
-  tables.forEach((contexts, place) => {
-    const symbol = reader.read(contexts[contextOf(activity)]);
-    let magnitude = (symbol + 1) >> 1;
-    if (magnitude >= ESCAPE) {
-      const length = reader.readUniform(4);
-      if (length > MAX_REST_BITS) throw new LatentError(`a rest of ${length} bits`);
-      magnitude += 2 ** length + reader.readUniform(length) - 1;
-    }
-    values[place] = symbol & 1 ? magnitude : 0 - magnitude;
-    activity += magnitude - Math.abs(values[place - ACTIVITY_WINDOW] ?? 0);
-  });
-}
-
-/**
- * @param {StreamProfile} profile
- * @param {Uint8Array} payload
- * @returns {LatentSample}
- */
+/** @param {StreamProfile} profile @param {Uint8Array} payload @returns {Sample} */
 export function decodeFace(profile, payload) {
   const { coefficients, isStill } = decodeFrame(profile, payload);
-  const latent = profile.synthesise(coefficients);
-  const length = Math.sqrt(latent.reduce((sum, value) => sum + value * value, 0));
-  if (length > MAX_LENGTH) latent.forEach((value, i) => (latent[i] = value * (MAX_LENGTH / length)));
-  const pose = Float32Array.from(coefficients.slice(profile.count), (value) => value * POSE_UNIT);
-  return { latent, rotation: pose.slice(0, 3), translation: pose.slice(3), isStill };
+  const { mean, synthesis, scale, count } = profile;
+  const values = new Float32Array(NUM_VALUES);
+  let power = 0;
+  for (let i = 0; i < NUM_LATENT; i++) {
+    let sum = Math.floor(scale / 2);
+    for (let k = 0; k < count; k++) sum += synthesis[k * NUM_LATENT + i] * coefficients[k];
+    values[i] = clamp(Math.floor(sum / scale) + mean[i], MAX_LATENT) * LATENT_UNIT;
+    power += values[i] ** 2;
+  }
+  const shorter = Math.min(MAX_LENGTH / Math.sqrt(power), 1);
+  if (shorter < 1) values.forEach((value, i) => (values[i] = value * shorter));
+  values.set(coefficients.slice(count).map((value) => value * POSE_UNIT), NUM_LATENT);
+  return { values, isStill };
 }
 
-/**
- * Write a face as one frame, at the quality that senders use.
- *
- * @param {StreamProfile} profile
- * @param {{latent: Float32Array, rotation: ArrayLike<number>, translation: ArrayLike<number>}} face
- * @returns {Uint8Array}
- */
-export function encodeFace(profile, { latent, rotation, translation }) {
-  const pose = [
-    ...Array.from(rotation, (value) => clamp(value, Math.PI)),
-    ...Array.from(translation, (value) => clamp(value, 1)),
-  ].map((value) => roundHalfEven(value / POSE_UNIT));
-  const steps = stepsOf(DEFAULT_QUALITY, profile.count);
-  const exact = profile.analyse(latent);
-  const values = [...exact, ...pose].map((value, i) =>
+/** Write a face, 262 values, as one frame, at the quality that senders use. @param {StreamProfile} profile @param {Float32Array} values */
+export function encodeFace(profile, values) {
+  const { mean, analysis, count } = profile;
+  const steps = stepsOf(DEFAULT_QUALITY, count);
+  const latent = Array.from(values.subarray(0, NUM_LATENT), (value, i) =>
+    clamp(roundHalfEven(value / LATENT_UNIT), MAX_LATENT) - mean[i]);
+  const exact = Array.from({ length: count }, (_, k) => {
+    const sum = latent.reduce((all, value, i) => all + value * analysis[i * count + k], 2 ** 15);
+    return clamp(Math.floor(sum / 2 ** 16), MAX_COEFFICIENT / 2);
+  });
+  const pose = Array.from(values.subarray(NUM_LATENT), (value, i) =>
+    roundHalfEven(clamp(value, i < 3 ? Math.PI : 1) / POSE_UNIT));
+  const rounded = [...exact, ...pose].map((value, i) =>
     Math.sign(value) * Math.floor((2 * Math.abs(value) + steps[i]) / (2 * steps[i])));
-  const face = values.slice(0, profile.count);
-  spareBits(face, exact, steps[0], profile.tables);
-  const turned = values.slice(profile.count);
+  const face = eachCoefficient(profile, (table, place) =>
+    thrifty(table, rounded[place], Math.abs(exact[place]) / steps[0]));
+  const turned = rounded.slice(count);
   const header = (face.some(Boolean) ? HAS_LATENT : 0) | (turned.some(Boolean) ? HAS_POSE : 0);
-  /** @type {[number, number][]} */
   const ranges = [rangeOf(QUALITY_TABLE, DEFAULT_QUALITY), rangeOf(HEADER_TABLE, header)];
-  if (header & HAS_LATENT) writeFace(ranges, face, profile.tables);
-  for (let i = 0; header & HAS_POSE && i < NUM_POSE; i++) {
-    const magnitude = Math.abs(turned[i]);
-    const length = bitLength(magnitude);
-    ranges.push(rangeOf(i < 3 ? ROTATION_TABLE : TRANSLATION_TABLE, length));
-    if (length) {
-      ranges.push(uniform(turned[i] < 0 ? 1 : 0, 1));
-      ranges.push(uniform(magnitude - 2 ** (length - 1), length - 1));
-    }
+  if (header & HAS_LATENT) {
+    eachCoefficient(profile, (table, place) => {
+      const magnitude = Math.abs(face[place]);
+      ranges.push(rangeOf(table, 2 * Math.min(magnitude, ESCAPE) - (face[place] > 0 ? 1 : 0)));
+      if (magnitude >= ESCAPE) {
+        const rest = magnitude - ESCAPE + 1;
+        const length = bitLength(rest) - 1;
+        ranges.push(uniform(length, 4), uniform(rest - 2 ** length, length));
+      }
+      return face[place];
+    });
   }
+  turned.forEach((value, i) => {
+    if (!(header & HAS_POSE)) return;
+    const length = bitLength(Math.abs(value));
+    ranges.push(rangeOf(POSE_TABLES[i], length));
+    if (length) ranges.push(uniform(value < 0 ? 1 : 0, 1), uniform(Math.abs(value) - 2 ** (length - 1), length - 1));
+  });
   return writeSymbols(ranges);
 }
 
-/**
- * Rounds coefficients in steps towards 0 where the bits are worth the error.
- *
- * @param {number[]} values Rounded to the nearest; changed in place.
- * @param {ArrayLike<number>} exact
- * @param {number} step
- * @param {readonly Table[][]} tables
- */
-function spareBits(values, exact, step, tables) {
-  let activity = 0;
-  values.forEach((value, place) => {
-    let magnitude = Math.abs(value);
-    const grown = 1 - 2 * (magnitude - Math.abs(exact[place]) / step);
-    if (grown < 1 && magnitude > 0 && magnitude < ESCAPE) {
-      const { frequencies } = tables[place][contextOf(activity)];
-      const sign = value > 0 ? 1 : 0;
-      const cheap = frequencies[magnitude > 1 ? 2 * (magnitude - 1) - sign : 0];
-      if (BIT_PRICE * Math.log2(cheap / frequencies[2 * magnitude - sign]) > grown) {
-        magnitude -= 1;
-        values[place] = Math.sign(value) * magnitude;
-      }
-    }
-    activity += magnitude - Math.abs(values[place - ACTIVITY_WINDOW] ?? 0);
-  });
+/** A coefficient in steps, one nearer to 0 where the bits are worth the error. @param {Table} table @param {number} value @param {number} exact Without its sign. */
+function thrifty({ frequencies }, value, exact) {
+  const magnitude = Math.abs(value);
+  const grown = 1 - 2 * (magnitude - exact);
+  if (grown >= 1 || magnitude < 1 || magnitude >= ESCAPE) return value;
+  const sign = value > 0 ? 1 : 0;
+  const cheap = frequencies[magnitude > 1 ? 2 * (magnitude - 1) - sign : 0];
+  const isWorth = BIT_PRICE * Math.log2(cheap / frequencies[2 * magnitude - sign]) > grown;
+  return isWorth ? value - Math.sign(value) : value;
 }
 
-/** @param {[number, number][]} ranges @param {number[]} values @param {readonly Table[][]} tables */
-function writeFace(ranges, values, tables) {
-  let activity = 0;
-  values.forEach((value, place) => {
-    const magnitude = Math.abs(value);
-    const symbol = 2 * Math.min(magnitude, ESCAPE) - (value > 0 ? 1 : 0);
-    ranges.push(rangeOf(tables[place][contextOf(activity)], symbol));
-    if (magnitude >= ESCAPE) {
-      const rest = magnitude - ESCAPE + 1;
-      const length = bitLength(rest) - 1;
-      ranges.push(uniform(length, 4), uniform(rest - 2 ** length, length));
-    }
-    activity += magnitude - Math.abs(values[place - ACTIVITY_WINDOW] ?? 0);
-  });
-}
-
-/** @param {[number, number][]} ranges Start and frequency of each symbol. @returns {Uint8Array} */
+/** @param {Range[]} ranges */
 function writeSymbols(ranges) {
-  let low = 0n;
-  let width = BigInt(FULL_RANGE);
-  let bits = 48n;
+  let [low, width, bits] = [0n, BigInt(FULL_RANGE), 48n];
   for (const [start, frequency] of ranges) {
-    width >>= 14n;
+    width >>= BigInt(TOTAL_BITS);
     low += BigInt(start) * width;
     width *= BigInt(frequency);
     while (width < LEAST_RANGE) {
@@ -373,43 +278,26 @@ function writeSymbols(ranges) {
   let code = 0n;
   while ((code = (low + (1n << shift) - 1n) >> shift) << shift >= low + width) shift -= 8n;
   const payload = new Uint8Array(Number((bits - shift) / 8n));
-  for (let i = payload.length - 1; i >= 0; i--, code >>= 8n) payload[i] = Number(code & 255n);
+  for (let at = payload.length - 1; at >= 0; at--, code >>= 8n) payload[at] = Number(code & 255n);
   return payload;
 }
 
-/** @param {number} quality @param {number} count @returns {number[]} */
+/** @type {(quality: number, count: number) => number[]} */
 function stepsOf(quality, count) {
-  const [face, rotation, translation] = STEPS[quality];
-  return [...new Array(count).fill(face), ...new Array(3).fill(rotation),
-    ...new Array(3).fill(translation)];
+  const [face, ...pose] = STEPS[quality];
+  return [...new Array(count).fill(face), ...pose.flatMap((step) => [step, step, step])];
 }
 
-/** @param {number} activity @returns {number} */
-function contextOf(activity) {
-  return ACTIVITY_LEVELS.filter((level) => level <= activity).length;
-}
+/** @type {(table: Table, symbol: number) => Range} */
+const rangeOf = (table, symbol) => [table.starts[symbol], table.frequencies[symbol]];
+/** @type {(value: number, bits: number) => Range} */
+const uniform = (value, bits) => [value * (TOTAL >> bits), TOTAL >> bits];
+/** @param {number} value */
+const bitLength = (value) => (value ? 32 - Math.clz32(value) : 0);
+/** @type {(value: number, limit: number) => number} */
+const clamp = (value, limit) => Math.min(Math.max(value, -limit), limit);
 
-/** @param {Table} table @param {number} symbol @returns {[number, number]} */
-function rangeOf(table, symbol) {
-  return [table.starts[symbol], table.frequencies[symbol]];
-}
-
-/** @param {number} value @param {number} bits @returns {[number, number]} */
-function uniform(value, bits) {
-  return [value * (TOTAL >> bits), TOTAL >> bits];
-}
-
-/** @param {number} value @returns {number} */
-function bitLength(value) {
-  return value ? 32 - Math.clz32(value) : 0;
-}
-
-/** @param {number} value @param {number} limit @returns {number} */
-function clamp(value, limit) {
-  return Math.min(Math.max(value, -limit), limit);
-}
-
-/** @param {number} value @returns {number} */
+/** @param {number} value */
 function roundHalfEven(value) {
   const rounded = Math.round(value);
   return Math.abs(value % 1) === 0.5 && rounded % 2 ? rounded - 1 : rounded;

@@ -5,6 +5,7 @@
  * @module
  */
 
+import { seconds } from "./clock.js";
 import {
   CONTROL_KIND, MEDIA_KIND, SUBPROTOCOL, WireError, decodeMedia, decodeMessage, encodeFrame,
   encodeMessage,
@@ -252,9 +253,4 @@ export class Link {
 /** @param {Message} bye @returns {string} */
 function said({ reason, url }) {
   return url ? `the room is at another relay, ${url}: open the link there` : reason;
-}
-
-/** @returns {number} The page's clock. */
-export function seconds() {
-  return performance.now() / 1000;
 }

@@ -4,128 +4,51 @@
  * A frame is due at its capture time plus the fastest transit plus a delay; between two frames the
  * face moves evenly, without a next one it rests, and when the path changes, what is shown goes
  * over to the new one. All rules are those of `pica_client.playout`, where they are explained.
- *
- * @module
  */
 
-import { FrameInterval, SenderClock } from "./clock.js";
+import { SenderClock } from "./clock.js";
 
-/** @import { LatentSample } from "./types.js" */
-/** @import { Frame } from "./wire.js" */
+/** @import { Sample } from "./latent_stream.js" */
+/** @typedef {Sample & {mediaS: number}} Placed */
 
-const FLOOR_S = 0.004;
-const CEILING_S = 0.2;
-const MAX_LAG_S = 0.03;
+const [FLOOR_S, CEILING_S] = [0.004, 0.2];
+const [MAX_LAG_S, MAX_LED_S] = [0.03, 2];
 const MIN_SLACK_S = 0.005;
 const STILL_S = 2.5;
-const MAX_LED_S = 2;
+const [NUM_GAPS, NUM_SHOWN, MAX_FRAMES, MAX_GAP_S] = [16, 9, 64, 0.25];
+const [BLEND_S, UNSEEN] = [0.15, 1e-5];
+const [LEAP_S, FASTER, SLOWER] = [0.25, 0.1, 0.25];
+const [LED_LEAP_S, LED_RATE] = [0.04, 1];
+const [SMOOTHING, MAX_STEP_S] = [0.1, 0.25];
 
-const NUM_SHOWN = 9;
-const MAX_FRAMES = 64;
-const MAX_GAP_S = 0.25;
-const BLEND_S = 0.15;
-const UNSEEN = 1e-5;
-const LEAP_S = 0.25;
-const FASTER = 0.1;
-const SLOWER = 0.25;
-const LED_RATE = 1;
-const LED_LEAP_S = 0.04;
-const SMOOTHING = 0.1;
-const MAX_STEP_S = 0.25;
-
-/** @typedef {{capturedUs: number, sample: LatentSample, mediaS: number}} DecodedFrame */
-
-/** @param {LatentSample} face @returns {Float32Array} Latent, rotation, translation: 262 values. */
-function flat(face) {
-  const values = new Float32Array(262);
-  values.set(face.latent);
-  values.set(face.rotation, 256);
-  values.set(face.translation, 259);
-  return values;
-}
-
-/** @param {Float32Array} values @param {boolean} isStill @returns {LatentSample} */
-function unflat(values, isStill) {
-  return {
-    latent: values.subarray(0, 256),
-    rotation: values.subarray(256, 259),
-    translation: values.subarray(259),
-    isStill,
-  };
-}
-
-/**
- * @param {Float32Array} one
- * @param {Float32Array} other
- * @param {number} weight
- * @returns {Float32Array} One plus the weighted other.
- */
-function added(one, other, weight) {
-  return one.map((value, i) => value + weight * other[i]);
-}
-
-/** @param {Float32Array} values @returns {number} */
-function largest(values) {
-  return values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
-}
-
-/** Takes what is shown back to where it should be, within `BLEND_S`. */
-class Correction {
-  constructor() {
-    this.leftS = 0;
-    /** @type {Float32Array | null} */
-    this.offset = null;
-  }
-
-  /** @param {LatentSample} shown @param {LatentSample} meant At the same moment. */
-  aim(shown, meant) {
-    if (shown === meant && this.offset === null) return;
-    const offset = added(flat(shown), flat(meant), -1);
-    if (this.offset !== null && largest(added(offset, this.offset, -1)) < UNSEEN) return;
-    this.offset = largest(offset) >= UNSEEN ? offset : null;
-    this.leftS = BLEND_S;
-  }
-
-  /** @param {LatentSample} meant @param {number} elapsedS @returns {LatentSample} */
-  corrected(meant, elapsedS) {
-    if (this.offset === null || this.leftS <= elapsedS) {
-      this.offset = null;
-      return meant;
-    }
-    const share = 1 - elapsedS / this.leftS;
-    this.offset = this.offset.map((value) => share * value);
-    this.leftS -= elapsedS;
-    return unflat(added(flat(meant), this.offset, 1), meant.isStill);
-  }
-}
+/** One plus the weighted other. @type {(one: Float32Array, other: Float32Array, weight: number) => Float32Array} */
+const added = (one, other, weight) => one.map((value, i) => value + weight * other[i]);
+/** @param {Float32Array} values */
+const largest = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
 
 /** Frames shown and to be shown, in order. */
 class Timeline {
   constructor() {
-    /** @type {DecodedFrame[]} */
+    /** @type {Placed[]} */
     this.frames = [];
     this.numShown = 0;
+    /** Median time between frames. */
+    this.intervalS = 0;
+    /** @type {number[]} */
+    this.gaps = [];
   }
 
-  /** The newest frame that counts as shown, and the oldest that does not. */
+  /** The newest frame that counts as shown; none before the first is due. */
   get held() {
     return this.frames[this.numShown - 1];
   }
 
-  get following() {
-    return this.frames[this.numShown];
-  }
-
-  get newestS() {
-    return this.frames[this.frames.length - 1].mediaS;
-  }
-
-  /** @param {number} mediaS @returns {number} How many frames were captured up to then. */
+  /** How many frames were captured up to then. @param {number} mediaS */
   countTo(mediaS) {
     return this.frames.filter((frame) => frame.mediaS <= mediaS).length;
   }
 
-  /** @param {DecodedFrame} frame @returns {boolean} */
+  /** False: it is too late. @param {Placed} frame */
   append(frame) {
     const place = this.countTo(frame.mediaS);
     if (place < this.numShown) return false;
@@ -134,7 +57,14 @@ class Timeline {
     return true;
   }
 
-  /** @param {number} mediaS */
+  /** What follows a still frame is a silence on purpose, and no gap. @param {Placed | null} last @param {Placed} frame */
+  noteGap(last, { mediaS }) {
+    if (last === null || last.isStill || mediaS <= last.mediaS) return;
+    this.gaps = [...this.gaps, mediaS - last.mediaS].slice(-NUM_GAPS);
+    this.intervalS = Float64Array.from(this.gaps).sort()[(this.gaps.length - 1) >> 1];
+  }
+
+  /** Count what was captured up to then as shown. @param {number} mediaS */
   release(mediaS) {
     this.numShown = Math.max(this.countTo(mediaS), this.numShown);
     const numOld = Math.max(this.numShown - NUM_SHOWN, 0);
@@ -142,179 +72,146 @@ class Timeline {
     this.numShown -= numOld;
   }
 
-  /** @param {number} mediaS @param {number} intervalS @returns {LatentSample} */
-  faceAt(mediaS, intervalS) {
+  /** The face of a moment, and whether it is on its way to the next frame. @param {number} mediaS */
+  faceAt(mediaS) {
     const place = Math.max(this.countTo(mediaS) - 1, 0);
-    const before = this.frames[place];
-    const departureS = this.departureS(place, intervalS);
-    if (mediaS < departureS) return before.sample;
-    const after = this.frames[place + 1];
+    const [before, after] = this.frames.slice(place, place + 2);
+    if (!after) return { values: before.values, isUnderWay: false };
+    const longestS = before.isStill && this.intervalS > 0 ? this.intervalS : MAX_GAP_S;
+    const departureS = Math.max(before.mediaS, after.mediaS - longestS);
     const share = (mediaS - departureS) / (after.mediaS - departureS);
-    if (share === 0) return before.sample;
-    if (share === 1) return after.sample;
-    const one = flat(before.sample);
-    return unflat(added(one, added(flat(after.sample), one, -1), share), false);
-  }
-
-  /** @param {number} mediaS @param {number} intervalS @returns {boolean} */
-  isUnderWay(mediaS, intervalS) {
-    return this.departureS(Math.max(this.countTo(mediaS) - 1, 0), intervalS) <= mediaS;
-  }
-
-  /** @param {number} place @param {number} intervalS @returns {number} */
-  departureS(place, intervalS) {
-    const before = this.frames[place];
-    const after = this.frames[place + 1];
-    if (after === undefined) return Infinity;
-    const longestS = before.sample.isStill && intervalS > 0 ? intervalS : MAX_GAP_S;
-    return Math.max(before.mediaS, after.mediaS - longestS);
-  }
-}
-
-/** The display's time of one stream. */
-class Playhead {
-  constructor() {
-    this.positionS = -Infinity;
-    /** Mean time between two display times. */
-    this.stepS = 0;
-    this.now = -Infinity;
-  }
-
-  /**
-   * @param {number} now
-   * @param {number} targetS The moment that should be shown.
-   * @param {number} endS Up to where the face last shown had moved.
-   * @param {boolean} isLed Whether a voice says what should be shown.
-   */
-  advance(now, targetS, endS, isLed) {
-    if (this.positionS === -Infinity) {
-      this.positionS = targetS;
-      this.now = now;
-      return { elapsedS: 0, movedS: 0, isLeap: false };
-    }
-    const elapsedS = Math.max(now - this.now, 0);
-    this.now = Math.max(now, this.now);
-    if (elapsedS <= MAX_STEP_S) this.stepS += SMOOTHING * (elapsedS - this.stepS);
-    const beforeS = this.positionS;
-    const behindS = targetS - beforeS - elapsedS;
-    if (behindS > (isLed ? LED_LEAP_S : LEAP_S)) {
-      this.positionS = targetS;
-      return { elapsedS, movedS: elapsedS, isLeap: true };
-    }
-    const slowest = -(isLed ? LED_RATE : SLOWER) * elapsedS;
-    const rate = Math.min(Math.max(behindS, slowest), (isLed ? LED_RATE : FASTER) * elapsedS);
-    let positionS = beforeS + elapsedS + rate;
-    if (endS < positionS && targetS < positionS) {
-      positionS = Math.max(targetS, Math.min(endS, positionS));
-    }
-    this.positionS = positionS;
-    return { elapsedS, movedS: Math.max(positionS - beforeS, 0), isLeap: false };
+    if (share <= 0) return { values: before.values, isUnderWay: share === 0 };
+    if (share === 1) return { values: after.values, isUnderWay: true };
+    const way = added(after.values, before.values, -1);
+    return { values: added(before.values, way, share), isUnderWay: true };
   }
 }
 
 /** The playout buffer of one stream. */
 export class Playout {
   constructor() {
-    this.sender = new SenderClock();
+    this.clock = new SenderClock();
     this.timeline = new Timeline();
-    this.interval = new FrameInterval();
-    this.playhead = new Playhead();
-    this.correction = new Correction();
-    /** @type {LatentSample | null} */
+    /** @type {Placed | null} */
+    this.last = null;
+    /** The display's moment on the time line, when that was, and the mean time between two. */
+    this.positionS = -Infinity;
+    this.drawnS = -Infinity;
+    this.stepS = 0;
+    /** @type {Float32Array | null} */
     this.shown = null;
+    /** Where the face shown comes to rest. */
     this.endS = Infinity;
     this.isPathNew = false;
+    /** What takes the face shown back to where it should be, and for how long. @type {Float32Array | null} */
+    this.offset = null;
+    this.leftS = 0;
   }
 
-  /** @param {Frame} frame @param {LatentSample} sample @param {number} now */
+  /** @param {{sequence: number, capturedUs: number}} frame @param {Sample} sample @param {number} now */
   receive(frame, sample, now) {
-    const placed = this.sender.receive(frame, now);
-    if (placed === null) return;
-    const { mediaS } = placed;
-    if (!this.timeline.append({ capturedUs: frame.capturedUs, sample, mediaS })) return;
+    const mediaS = this.clock.place(frame, now);
+    const placed = { ...sample, mediaS: mediaS ?? 0 };
+    if (mediaS === null || !this.timeline.append(placed)) return;
     this.isPathNew = true;
-    this.sender.transit?.receive(mediaS, now);
-    this.interval.receive(mediaS, sample.isStill);
+    this.clock.learn(mediaS, now);
+    this.timeline.noteGap(this.last, placed);
+    this.last = placed;
   }
 
   /**
    * The face to show next, or null before the first frame is due.
-   *
    * @param {number} now
-   * @param {number | null} [heardUs] The moment, on the sender's clock, of the voice that is heard
-   *     when this face is seen. It leads.
-   * @returns {{sample: LatentSample, capturedUs: number, isConcealed: boolean} | null}
+   * @param {number | null} heardUs The moment, on the sender's clock, of the voice that is heard when
+   *     this face is seen. It leads.
    */
   sampleAt(now, heardUs = null) {
-    const { timeline } = this;
-    const { transit } = this.sender;
-    if (transit === null) return null;
-    const { intervalS } = this.interval;
-    const ownS = now - transit.fastestS - this.targetS;
-    let shouldS = ownS;
-    let isLed = false;
-    if (heardUs !== null) {
-      const heardS = this.sender.mediaS(heardUs);
-      isLed = Math.abs(heardS - ownS) <= MAX_LED_S;
-      if (isLed) shouldS = Math.min(Math.max(ownS, heardS - MAX_LAG_S), heardS);
-    }
-    if (!timeline.held && !(timeline.following?.mediaS <= shouldS)) return null;
-    if (this.slackS > 0) shouldS = Math.min(shouldS, timeline.newestS);
-    const step = this.playhead.advance(now, shouldS, this.endS, isLed);
-    const { positionS } = this.playhead;
-    timeline.release(positionS);
-    let face = timeline.faceAt(positionS, intervalS);
-    if (this.shown !== null) {
-      if (this.isPathNew || step.isLeap) {
-        this.correction.aim(this.shown, timeline.faceAt(positionS - step.movedS, intervalS));
-      }
-      face = this.correction.corrected(face, step.elapsedS);
-    }
-    this.shown = face;
+    const { clock, timeline } = this;
+    if (!clock.hasBegun || !timeline.frames.length) return null;
+    const ownS = now - clock.fastestS - this.targetS;
+    const heardS = heardUs === null ? NaN : clock.mediaS(heardUs);
+    const isLed = Math.abs(heardS - ownS) <= MAX_LED_S;
+    let shouldS = isLed ? Math.min(Math.max(ownS, heardS - MAX_LAG_S), heardS) : ownS;
+    if (!timeline.held && !(timeline.frames[0].mediaS <= shouldS)) return null;
+    if (this.slackS > 0) shouldS = Math.min(shouldS, timeline.frames[timeline.frames.length - 1].mediaS);
+    const step = this.advance(now, shouldS, isLed);
+    timeline.release(this.positionS);
+    const meant = timeline.faceAt(this.positionS);
+    const isTurning = this.isPathNew || step.isLeap;
+    const before = isTurning ? timeline.faceAt(this.positionS - step.movedS).values : null;
+    this.shown = this.corrected(meant.values, before, step.elapsedS);
     this.isPathNew = false;
-    return this.played(face, positionS, this.slackS ? ownS - this.slackS : positionS);
+    const { slackS } = this;
+    const isConcealed = this.isConcealed(slackS ? ownS - slackS : this.positionS, meant.isUnderWay);
+    return { values: this.shown, isConcealed };
   }
 
   /** By how much the display's images lie farther apart than the frames that arrive. */
   get slackS() {
-    const { intervalS } = this.interval;
-    const slackS = this.playhead.stepS - intervalS;
-    return intervalS > 0 && slackS > MIN_SLACK_S ? slackS : 0;
+    const slackS = this.stepS - this.timeline.intervalS;
+    return this.timeline.intervalS > 0 && slackS > MIN_SLACK_S ? slackS : 0;
   }
 
   /** What should be waited beyond the fastest transit. */
   get targetS() {
-    const jitterS = this.sender.transit?.jitterS ?? 0;
-    const waitS = Math.min(Math.max(FLOOR_S, this.interval.intervalS) + jitterS, CEILING_S);
-    return Math.max(waitS - this.slackS, FLOOR_S);
+    const waitS = Math.max(FLOOR_S, this.timeline.intervalS) + this.clock.jitterS;
+    return Math.max(Math.min(waitS, CEILING_S) - this.slackS, FLOOR_S);
+  }
+
+  /** Move the display's moment towards the one that should be shown. @type {(now: number, shouldS: number, isLed: boolean) => {elapsedS: number, movedS: number, isLeap: boolean}} */
+  advance(now, shouldS, isLed) {
+    if (this.positionS === -Infinity) {
+      [this.positionS, this.drawnS] = [shouldS, now];
+      return { elapsedS: 0, movedS: 0, isLeap: false };
+    }
+    const elapsedS = Math.max(now - this.drawnS, 0);
+    this.drawnS = Math.max(now, this.drawnS);
+    if (elapsedS <= MAX_STEP_S) this.stepS += SMOOTHING * (elapsedS - this.stepS);
+    const beforeS = this.positionS;
+    const behindS = shouldS - beforeS - elapsedS;
+    if (behindS > (isLed ? LED_LEAP_S : LEAP_S)) {
+      this.positionS = shouldS;
+      return { elapsedS, movedS: elapsedS, isLeap: true };
+    }
+    const slowest = -(isLed ? LED_RATE : SLOWER) * elapsedS;
+    const rate = Math.min(Math.max(behindS, slowest), (isLed ? LED_RATE : FASTER) * elapsedS);
+    const aimS = beforeS + elapsedS + rate;
+    const isPast = this.endS < aimS && shouldS < aimS;
+    this.positionS = isPast ? Math.max(shouldS, Math.min(this.endS, aimS)) : aimS;
+    return { elapsedS, movedS: Math.max(this.positionS - beforeS, 0), isLeap: false };
   }
 
   /**
-   * Describe how fresh a face is, and remember where it stands.
-   *
-   * @param {LatentSample} face
-   * @param {number} positionS
-   * @param {number} dueS Frames captured before it should have come by now.
+   * What is meant, plus what is left of the way from what was shown.
+   * @param {Float32Array} meant @param {Float32Array | null} before What is meant now for the moment
+   *     that was shown, where that has changed. @param {number} elapsedS
    */
-  played(face, positionS, dueS) {
-    const { timeline } = this;
-    const { intervalS } = this.interval;
-    const held = timeline.held;
-    const pastS = dueS - held.mediaS;
-    let knownS = held.mediaS;
-    let isConcealed = false;
-    this.endS = Infinity;
-    if (timeline.following && timeline.isUnderWay(positionS, intervalS)) {
-      knownS = positionS;
-    } else if (held.sample.isStill) {
-      knownS += Math.min(Math.max(pastS, 0), STILL_S);
-      isConcealed = pastS > STILL_S;
-    } else {
-      this.endS = held.mediaS;
-      const grantedS = Math.max(this.targetS - (this.sender.transit?.jitterS ?? 0), 0);
-      isConcealed = pastS > 1.5 * intervalS - grantedS && intervalS > 0;
+  corrected(meant, before, elapsedS) {
+    if (before && this.shown && !(this.shown === before && this.offset === null)) {
+      const offset = added(this.shown, before, -1);
+      if (this.offset === null || largest(added(offset, this.offset, -1)) >= UNSEEN) {
+        this.offset = largest(offset) >= UNSEEN ? offset : null;
+        this.leftS = BLEND_S;
+      }
     }
-    const capturedUs = held.capturedUs + Math.round((knownS - held.mediaS) * 1e6);
-    return { sample: face, capturedUs, isConcealed };
+    if (this.offset === null || this.leftS <= elapsedS) {
+      this.offset = null;
+      return meant;
+    }
+    const share = 1 - elapsedS / this.leftS;
+    this.offset = this.offset.map((value) => share * value);
+    this.leftS -= elapsedS;
+    return added(meant, this.offset, 1);
+  }
+
+  /** Whether a frame is missing; notes where the face rests. @param {number} dueS Frames captured before it should have come. @param {boolean} isUnderWay */
+  isConcealed(dueS, isUnderWay) {
+    const { held, intervalS } = this.timeline;
+    const pastS = dueS - held.mediaS;
+    this.endS = isUnderWay || held.isStill ? Infinity : held.mediaS;
+    if (isUnderWay) return false;
+    if (held.isStill) return pastS > STILL_S;
+    const grantedS = Math.max(this.targetS - this.clock.jitterS, 0);
+    return intervalS > 0 && pastS > 1.5 * intervalS - grantedS;
   }
 }

@@ -10,16 +10,6 @@
  */
 
 /**
- * A face at one moment, as `pica_core.codec.latent_stream.LatentSample` has it.
- *
- * @typedef {object} LatentSample
- * @property {Float32Array} latent 8 rows, 8 columns, 4 channels, in that order: 256 values.
- * @property {Float32Array} rotation Head to seat, rotation vector, radians: 3 values.
- * @property {Float32Array} translation Offset of the head from its seat, metres: 3 values.
- * @property {boolean} isStill Whether nothing changes until the next frame.
- */
-
-/**
  * How fresh a face is: as `FaceStatus` of the Python client.
  *
  * @typedef {"waiting" | "live" | "concealed" | "stale" | "away"} FaceStatus
@@ -33,25 +23,14 @@
  * @property {Float32Array} rotation
  * @property {Float32Array} translation
  * @property {FaceStatus} status
- * @property {number} capturedUs Sender's clock at the moment shown, microseconds.
  */
 
 /**
- * A tensor of an avatar file, as `avatar.js` reads it from the safetensors container.
- *
- * @typedef {object} Tensor
- * @property {string} dtype As safetensors names it: `F32`, `I16`, `U8`, …
- * @property {readonly number[]} shape
- * @property {Float32Array | Float64Array | Int8Array | Uint8Array | Int16Array | Uint16Array
- *     | Int32Array | Uint32Array} data
- */
-
-/**
- * What the call needs of an avatar file: the five `stream.*` tensors, by name.
+ * What the call needs of an avatar file: its tensors, by name.
  *
  * @typedef {object} AvatarFile
  * @property {string} id SHA-256 of its bytes, in hexadecimal.
- * @property {ReadonlyMap<string, Tensor>} tensors
+ * @property {(name: string) => ArrayLike<number>} integers A tensor as it is stored.
  * @property {(name: string) => Float32Array} floats Any tensor, as floats.
  */
 

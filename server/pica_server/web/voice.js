@@ -7,8 +7,7 @@
  * @module
  */
 
-import { SenderClock } from "./clock.js";
-import { seconds } from "./link.js";
+import { SenderClock, seconds } from "./clock.js";
 
 /** @import { Frame, Track } from "./wire.js" */
 
@@ -55,13 +54,13 @@ class Ear {
   /** @param {Frame} frame @param {number} now */
   receive(frame, now) {
     this.arrivedS = now;
-    const placed = this.clock.receive(frame, now);
-    if (placed === null || this.clock.transit === null) return;
-    this.clock.transit.receive(placed.mediaS, now);
-    this.aim(this.clock.transit, now);
+    const mediaS = this.clock.place(frame, now);
+    if (mediaS === null) return;
+    this.clock.learn(mediaS, now);
+    this.aim(this.clock, now);
     if (this.decoder === null || this.decoder.state === "closed") this.decoder = this.newDecoder();
-    this.pending.push(placed.mediaS);
-    const timestamp = Math.round(placed.mediaS * 1e6);
+    this.pending.push(mediaS);
+    const timestamp = Math.round(mediaS * 1e6);
     // A copy: the frame lies in the message that it came with.
     const data = frame.payload.slice();
     this.decoder.decode(new EncodedAudioChunk({ type: "key", timestamp, data }));

@@ -254,11 +254,6 @@ export function encodeFrame(frame) {
   return Uint8Array.from([MEDIA_KIND, ...header, ...frame.payload]);
 }
 
-/** @param {number} sequence @param {number} reference @returns {number} How far it is ahead. */
-export function sequenceDistance(sequence, reference) {
-  return modulo(sequence - reference + 32_768, 65_536) - 32_768;
-}
-
 /** @param {number} value @param {number} divisor @returns {number} */
 function modulo(value, divisor) {
   return ((value % divisor) + divisor) % divisor;
