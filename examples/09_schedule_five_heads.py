@@ -34,5 +34,5 @@ for budget_ms in (100, 24, 16):
         choice = plan.choices[name]
         print(
             f"  {name}: {height_px:3d} px, decode {choice.decode:10} at {choice.level:3d}, "
-            f"mesh {choice.mesh_level:3d}, every {choice.every}. face"
+            f"every {choice.every}. face"
         )

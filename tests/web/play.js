@@ -39,7 +39,7 @@ export function schedule(avatars, camera, frames) {
     for (const [level, parts, seconds] of decodes) scheduler.costs.observeDecode(level, parts, seconds);
     scheduler.costs.observeDraw(...draw);
     const sights = heads.map(({ sight }) => [sight.visiblePx, sight.headPx, sight.numViews]);
-    const choices = heads.map(({ choice: { level, decode, meshLevel, scale, every } }) => [level, decode, meshLevel, scale, every]);
+    const choices = heads.map(({ choice: { level, decode, scale, every } }) => [level, decode, scale, every]);
     return { costS, isShort, shadedPx, sights, choices, draw: scheduler.costs.draw };
   });
 }

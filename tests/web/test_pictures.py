@@ -95,15 +95,14 @@ def _talking(
             face = make_performance("talk", seed=index, start_s=2.3 * index).frame_at(1.0)
             latent = ExpressionEncoder(avatar).encode(face.arkit)
             matrix = head_matrix(plan.seats[index], face.rotation, face.translation_m)
-            mesh = min(level, 128)
             renderer.add_avatar(str(index), avatar)
             towards = view_direction(matrix, camera.centre_m)
             maps = OnnxDecoder(avatar).decode(latent, towards, level, "both")
             renderer.update_maps(str(index), maps.position_map, maps.expression_map)
-            placements.append(Placement(slot=str(index), world_from_head=matrix, mesh_level=mesh))
+            placements.append(Placement(slot=str(index), world_from_head=matrix))
             latents.append(latent.ravel())
             pose = {"rotation": face.rotation.tolist(), "translation": face.translation_m.tolist()}
-            heads.append({"name": names[index], **pose, "fade": 0, "level": level, "mesh": mesh})
+            heads.append({"name": names[index], **pose, "fade": 0, "level": level})
         renderer.draw(placements, camera, room=room)
         image = renderer.read_image().copy()
     case = {"heads": heads, "size": size, "layout": "line", "speaking": speaking, **options}

@@ -180,7 +180,7 @@ def _shown(
     level, position, expression = 0, None, None
     if entry.maps is not None and body is entry.body:
         level, (position, expression) = entry.maps.level, entry.maps.newest
-    mesh = body.mesh(level, placement.mesh_level)
+    mesh = body.meshes[level]
     return ShownHead(
         slot=placement.slot,
         view=view,
@@ -193,7 +193,7 @@ def _shown(
         mesh=mesh,
         position=position,
         expression=expression,
-        look=(entry.version, matrix.tobytes(), rect, placement.scale, mesh.level),
+        look=(entry.version, matrix.tobytes(), rect, placement.scale),
     )
 
 

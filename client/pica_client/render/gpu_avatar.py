@@ -80,9 +80,8 @@ POSITIONS, EXPRESSIONS = 0, 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """The triangles of one level, for the positions of one level."""
+    """The triangles of one level."""
 
-    level: int
     decoded: moderngl.VertexArray | None
     """For the surface pass; None where nothing is decoded."""
     static: moderngl.VertexArray | None
@@ -95,9 +94,8 @@ class Mesh:
 class Body:
     """What all seats with the same avatar share; without a decoder it is all skin."""
 
-    meshes: dict[tuple[int, int], Mesh]
-    """Meshes keyed by the levels of the positions and of the triangles; 0 where nothing is
-    decoded."""
+    meshes: dict[int, Mesh]
+    """Meshes keyed by level; 0 where nothing is decoded."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
     outline_m: FloatArray
@@ -114,12 +112,6 @@ class Body:
     """Bound to uniform block 0; None if the program holds them as constants."""
     still_size: int = 0
     """Expression maps with fewer columns are added to its still map; 0 where it has none."""
-
-    def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
-        """The triangles to draw with positions of a level; the positions' own serve where there is
-        no such mesh."""
-        own = self.meshes[position_level, position_level]
-        return self.meshes.get((position_level, mesh_level or position_level), own)
 
     def bind(self) -> None:
         """Make its textures and weights current."""
@@ -271,15 +263,15 @@ def upload_avatar(
 
 def _level_meshes(
     context: moderngl.Context, programs: MeshPrograms, avatar: Avatar, gone_m: float
-) -> dict[tuple[int, int], Mesh]:
+) -> dict[int, Mesh]:
     """The triangles of each level that do not end below `gone_m`, with the vertices that the level
-    uses and no others: for the full positions, and for the level's own."""
+    uses and no others."""
     vertex_uv, rest_m = avatar.tensors["mesh.vertex_uv"], avatar.mean_vertices_m
-    full, parts = avatar.levels[-1], parts_of(avatar.tensors)
+    parts = parts_of(avatar.tensors)
     corners = np.zeros((0, 6), np.float32)
     if parts is not None:
         corners = np.concatenate([rest_m, vertex_uv, (parts > SEAM)[:, None]], axis=1)
-    meshes: dict[tuple[int, int], Mesh] = {}
+    meshes: dict[int, Mesh] = {}
     for level in avatar.levels:
         # Neighbours together: in the order of a shuffled file five heads take half as long again to
         # draw.
@@ -289,18 +281,16 @@ def _level_meshes(
             own = seen_faces(own, rest_m, gone_m)
             static = static_vertices(context, programs.static, own, corners, "3f 2f 1f")
         used, renumbered = np.unique(ordered, return_inverse=True)
-        uv = vertex_uv[used]
+        places = uv = vertex_uv[used]
         faces = seen_faces(renumbered.reshape(-1, 3), rest_m[used], gone_m)
         indices = context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
-        for position_level in {full, level}:
-            listed, places = avatar.sheet_vertices(position_level), uv
-            if listed is not None:
-                slots = sheet_uv(len(listed), position_level)
-                places = slots[np.searchsorted(listed, used)]
-            both = np.ascontiguousarray(np.concatenate([places, uv], axis=1), np.float32)
-            content = [(context.buffer(both.tobytes()), "2f 2f", "vertex_place", "vertex_uv")]
-            decoded = context.vertex_array(programs.surface, content, index_buffer=indices)
-            meshes[position_level, level] = Mesh(level, decoded, static, len(faces) + len(own))
+        listed = avatar.sheet_vertices(level)
+        if listed is not None:
+            places = sheet_uv(len(listed), level)[np.searchsorted(listed, used)]
+        both = np.ascontiguousarray(np.concatenate([places, uv], axis=1), np.float32)
+        content = [(context.buffer(both.tobytes()), "2f 2f", "vertex_place", "vertex_uv")]
+        decoded = context.vertex_array(programs.surface, content, index_buffer=indices)
+        meshes[level] = Mesh(decoded, static, len(faces) + len(own))
     return meshes
 
 

@@ -60,7 +60,7 @@ def upload_placeholder(context: moderngl.Context, static: moderngl.Program) -> B
     low_m, high_m = bust.min(axis=(0, 1)), bust.max(axis=(0, 1))
     vertices = static_vertices(context, static, faces, corners.reshape(-1, 6), "3f 2f 1f")
     return Body(
-        meshes={(0, 0): Mesh(0, None, vertices, len(faces))},
+        meshes={0: Mesh(None, vertices, len(faces))},
         low_m=tuple(low_m.tolist()),
         high_m=tuple(high_m.tolist()),
         outline_m=outline_of(bust.reshape(-1, 3)),
@@ -120,7 +120,7 @@ class TexturedHead:
         self._rgba = np.full((side, side, 4), 255, np.uint8)
         low_m, high_m = avatar.bounds_min_m, avatar.bounds_max_m
         self.body = Body(
-            meshes={(0, 0): Mesh(0, None, vertices, len(faces))},
+            meshes={0: Mesh(None, vertices, len(faces))},
             low_m=low_m,
             high_m=high_m,
             outline_m=outline_of(box_corners(low_m, high_m)),

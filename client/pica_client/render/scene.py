@@ -32,9 +32,6 @@ class Placement:
     """0 is as it is, 1 has faded into the room: for stale faces."""
     scale: float = 1.0
     """Share of the image's resolution that it is drawn with, to be enlarged."""
-    mesh_level: int | None = None
-    """Level whose mesh to draw with the full maps; None for the full one. Maps of other levels are
-    always drawn with their own."""
 
 
 def rotation_matrix(rotation: npt.ArrayLike) -> Float64Array:

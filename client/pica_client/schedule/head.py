@@ -4,7 +4,7 @@ A head is kept from frame to frame by the code that draws it, and is forgotten w
 frame its owner places it, `see_heads` finds what cameras see of it, and the scheduler chooses what
 it gets.
 
-Maps of another level and another mesh are shown at once: at the heights where they change a picture
+Maps of another level, with its mesh, are shown at once: at the heights where they change a picture
 differs by no more than an error (MSE) of 11, by 6 steps of 255 in all but a hundredth of the pixels
 (measured on three avatars).
 """
@@ -34,11 +34,9 @@ class Choice(NamedTuple):
     """What one head gets in a frame."""
 
     level: int
-    """Level of the maps that are drawn once this frame's decode is there."""
+    """Level of the maps, and of the mesh, that are drawn once this frame's decode is there."""
     decode: Decode
     """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
-    mesh_level: int
-    """Level of the triangles: that of the maps; with full maps also a coarser one."""
     scale: float
     """Share of the image's resolution that it is drawn with."""
     every: int
@@ -78,10 +76,6 @@ class Head:
     """When that was."""
     latent_asked_s: float = -math.inf
     """When its latent was first asked for; a decode of the expression map alone keeps it."""
-
-    shown_level: int | None = None
-    """Level of the maps on the GPU."""
-    shown_mesh: int | None = None
 
     num_triangles: tuple[int, ...] = field(init=False)
     """Triangles of each level's mesh."""
@@ -130,21 +124,9 @@ class Head:
         self.asked_s = now
         return self.asked
 
-    def show(self, level: int) -> None:
-        """Maps of a level have come to the GPU."""
-        if self.shown_level != level:
-            self.shown_mesh = None
-        self.shown_level = level
-
     def dressed(self, placement: Placement) -> Placement:
-        """Its placement as it is to be drawn: its mesh, its share of the resolution."""
-        choice = self.choice
-        if choice is None:
-            return placement
-        # A mesh that is meant for maps still to come waits for them.
-        if choice.level == self.shown_level:
-            self.shown_mesh = choice.mesh_level
-        return replace(placement, scale=choice.scale, mesh_level=self.shown_mesh)
+        """Its placement as it is to be drawn: its share of the resolution."""
+        return placement if self.choice is None else replace(placement, scale=self.choice.scale)
 
 
 def see_heads(heads: Sequence[Head], cameras: Sequence[Camera], size_px: tuple[int, int]) -> None:

@@ -1,17 +1,17 @@
-"""What every head gets in a frame: level, what to decode, mesh, share of its stream. Pure.
+"""What every head gets in a frame: level, what to decode, share of its stream. Pure.
 
     scheduler = Scheduler()
     plan = scheduler.plan_view(heads, cameras, size_px, budget_s, now)
     for head, request in requests_of(heads, now): pool.submit(head.slot, request)
     ...
-    scheduler.note_decoded(head, result, upload_s)       # what it cost; its maps are shown now
-    placement = head.dressed(placement)                  # its mesh, its resolution
+    scheduler.note_decoded(head, result, upload_s)       # what it cost
+    placement = head.dressed(placement)                  # its resolution
     scheduler.costs.observe_draw(num_triangles, plan.shaded_px, draw_s)
 
-Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
-full maps on the middle mesh, and on their own. A face that has changed is decoded again. When a
-frame is expected to cost more than its budget (`cost_model`), first those who only listen are drawn
-less often, then heads count as smaller, one after the other and the lowest first, until it fits.
+Theory of operation. The taller a head is, the finer the level that it gets. A face that has changed
+is decoded again. When a frame is expected to cost more than its budget (`cost_model`), first those
+who only listen are drawn less often, then heads count as smaller, one after the other and the
+lowest first, until it fits.
 Those who have the coarsest level by then, and are still too much, are drawn in three quarters or
 half of the resolution. What the tests hold it to:
 
@@ -37,14 +37,11 @@ from pica_client.schedule.cost_model import CostModel
 from pica_client.schedule.head import Choice, Decode, Head, see_heads
 from pica_core.camera import Camera
 
-DETAIL_PX = (80.0, 250.0, 900.0)
-"""Heights on the screen from which a head gets the next of `DETAILS`: from the last one three
-pixels show a triangle of the full mesh (tuned on one avatar at 50 and 130 cm; measured with five at
-65 cm: 36 % of the triangles, 79 % of the processor time of an image, at an error of 7.6 in place of
-4.2)."""
-DETAILS = ((0, 0), (1, 1), (2, 1), (2, 2))
-"""Places, among an avatar's levels, of the maps and of the mesh. Full maps on the coarsest mesh
-cost more than the level before, and leave twice the error."""
+DETAIL_PX = (80.0, 900.0)
+"""Heights on the screen from which a head gets the next level: from the last one three pixels show
+a triangle of the full mesh. Of the six avatars at 45 to 220 cm level 128 leaves an MSE of 1.6 to
+5.1, level 64 one of 4 to 13; full maps on the mesh of level 128 would leave 0.1 to 0.6 less than
+it, and take a quarter longer to decode and three times the upload (`pica bench scene`)."""
 SHARE_PX = (12.0, 32.0)
 """Heads lower than the first get a quarter of their faces, than the second half; all others get
 everything (chosen: 7.5 and 15 faces a second where a face is a dozen and a few dozen pixels
@@ -101,7 +98,7 @@ class Scheduler:
         self._since_s = 0.0
         self._now = -math.inf
         # Of this frame, by slot and shrink: one plan asks some eight times for each head.
-        self._known_places: dict[tuple[str, float], tuple[int, int]] = {}
+        self._known_places: dict[tuple[str, float], int] = {}
 
     def plan_view(
         self,
@@ -133,7 +130,7 @@ class Scheduler:
         for head, shrink in sorted(zip(seen, shrinks, strict=True), key=_oldest_first):
             head.seen_s = now
             levels, scale = head.avatar.levels, self._scale(head, shrink)
-            level, mesh = self._places(head, shrink)
+            level = self._place(head, shrink)
             decode = _wanted(head, levels[level], now)
             if decode != "none":
                 # One is decoded in any case, so that not everybody is overdue at once, and the
@@ -142,18 +139,16 @@ class Scheduler:
                 is_needed = now - asked_s >= MAX_AGE_S or not has_decoded
                 is_needed |= are_few and not head.is_listening
                 held = level if head.held_level is None else levels.index(head.held_level)
-                held_mesh = mesh if held == len(levels) - 1 else held
                 decode_s = self.costs.decode_s(head.model, levels[level], decode)
-                if is_needed or held_mesh > mesh or spent_s + decode_s <= budget_s:
+                if is_needed or held > level or spent_s + decode_s <= budget_s:
                     spent_s += decode_s
                     has_decoded = True
                 else:
-                    decode, level, mesh = "none", held, held_mesh
+                    decode, level = "none", held
             shaded_px += scale**2 * head.sight.visible_px
             head.choice = Choice(
                 level=levels[level],
                 decode=decode,
-                mesh_level=levels[mesh],
                 scale=scale,
                 every=self._every(head),
             )
@@ -168,10 +163,9 @@ class Scheduler:
         )
 
     def note_decoded(self, head: Head, result: DecodeResult, upload_s: float) -> None:
-        """Learn what a decode and its upload cost; its maps are drawn from now on."""
+        """Learn what a decode and its upload cost."""
         took_s = result.decode_s + upload_s
         self.costs.observe_decode(head.model, result.level, result.parts, took_s)
-        head.show(result.level)
 
     def _fit(self, seen: Sequence[Head], budget_s: float) -> list[float]:
         """How many times smaller each head must count, the lowest first."""
@@ -180,7 +174,7 @@ class Scheduler:
             shrinks = _shrinks(len(seen), turns)
             decodes_s = 0.0
             for head, shrink in zip(seen, shrinks, strict=True):
-                level = head.avatar.levels[self._places(head, shrink)[0]]
+                level = head.avatar.levels[self._place(head, shrink)]
                 decodes_s += self._share(head) * self.costs.decode_s(head.model, level, "both")
             return self._draw_s(seen, shrinks) + decodes_s
 
@@ -205,11 +199,11 @@ class Scheduler:
         every = (4, 2, 1)[bisect_right(SHARE_PX, head.sight.head_px)]
         return max(every, 2) if self._is_short and head.is_listening else every
 
-    def _places(self, head: Head, shrink: float) -> tuple[int, int]:
-        """Places, among the avatar's levels, of the maps and of the mesh in this frame."""
+    def _place(self, head: Head, shrink: float) -> int:
+        """Which of the avatar's levels it gets in this frame."""
         key = head.slot, shrink
         if key not in self._known_places:
-            self._known_places[key] = _find_places(head, shrink)
+            self._known_places[key] = _find_place(head, shrink)
         return self._known_places[key]
 
     def _scale(self, head: Head, shrink: float) -> float:
@@ -226,7 +220,7 @@ class Scheduler:
         """Seconds an image, on average, that drawing heads takes."""
         draw, total_s = self.costs.draw, self.costs.draw.frame_s if seen else 0.0
         for head, shrink in zip(seen, shrinks, strict=True):
-            triangles = head.sight.num_views * head.num_triangles[self._places(head, shrink)[1]]
+            triangles = head.sight.num_views * head.num_triangles[self._place(head, shrink)]
             pixels = self._scale(head, shrink) ** 2 * head.sight.visible_px
             total_s += self._share(head) * (draw.pixel_s * pixels + draw.triangle_s * triangles)
         return total_s
@@ -238,19 +232,15 @@ def requests_of(heads: Sequence[Head], now: float) -> list[tuple[Head, DecodeReq
     return [(head, asked) for head in nearest if (asked := head.request(now)) is not None]
 
 
-def _find_places(head: Head, shrink: float) -> tuple[int, int]:
+def _find_place(head: Head, shrink: float) -> int:
     levels = head.avatar.levels
-    if len(levels) == 1:
-        return 0, 0
     held = 0 if head.held_level is None else levels.index(head.held_level)
-    if head.choice is not None and head.choice.mesh_level == levels[-1]:
-        held += 1
     height = head.sight.head_px / shrink
     reached = (
         height >= least_px * (KEEP_RATIO if number < held else 1.0)
         for number, least_px in enumerate(DETAIL_PX)
     )
-    return DETAILS[sum(reached)]
+    return min(sum(reached), len(levels) - 1)
 
 
 def _wanted(head: Head, level: int, now: float) -> Decode:
@@ -269,7 +259,7 @@ def _unseen(head: Head, now: float) -> Choice:
         head.seen_s = now
     is_wanted = now - head.seen_s < STREAM_HOLD_S
     level = head.held_level or head.avatar.levels[0]
-    return Choice(level, "none", level, 1.0, int(is_wanted))
+    return Choice(level, "none", 1.0, int(is_wanted))
 
 
 def _shrinks(num_heads: int, turns: int) -> list[float]:
@@ -282,7 +272,7 @@ def _shrinks(num_heads: int, turns: int) -> list[float]:
 
 def _lowest_first(head: Head) -> tuple[float, str]:
     # What a head has counts as height: two who sway side by side must not change places.
-    held = 0 if head.choice is None else head.avatar.levels.index(head.choice.mesh_level)
+    held = 0 if head.choice is None else head.avatar.levels.index(head.choice.level)
     return head.sight.head_px * STEP**held, head.slot
 
 

@@ -7,8 +7,8 @@ block that makes maps of that size, and one linear layer turns what is there int
     expression map = conv3x3(trunk) + bias              a bias per texel, [S, S, 4]
 
 Its mesh is its own: coarser triangles over some of the same vertices, which the same bases make
-(`linear`). The mesh of a level can also be drawn with the full maps. An avatar has exits at 64 and
-128 of 256 or none; one whose geometry is decoded has none.
+(`linear`). An avatar has exits at 64 and 128 of 256 or none; one whose geometry is decoded has
+none.
 
 Tensors of an avatar file with levels, all of them; float32 in memory unless stated. S is a level
 below the full one, C the channels of the trunk there.

@@ -53,19 +53,19 @@ export class Body {
     this._graphics.gl.bindBufferBase(this._graphics.gl.UNIFORM_BUFFER, 0, this._weights);
   }
 
-  /** The decoded triangles of a level, for the positions of a level. @param {number} positions @param {number} level */
-  decoded(positions, level) {
-    return this._mesh(`${positions} ${level}`, () => {
+  /** The decoded triangles of a level. @param {number} level */
+  decoded(level) {
+    return this._mesh(`decoded ${level}`, () => {
       const { avatar } = this;
       const { faces, used } = renumbered(ordered(this._seen(avatar.facesOf(level, "decoded")), avatar.vertexUv));
-      const sheet = avatar.sheetVertices(positions);
+      const sheet = avatar.sheetVertices(level);
       const slots = new Map(Array.from(sheet, (vertex, slot) => [vertex, slot]));
-      const rows = Math.ceil(sheet.length / positions);
+      const rows = Math.ceil(sheet.length / level);
       const corners = new Float32Array(4 * used.length);
       used.forEach((vertex, at) => {
         const slot = slots.get(vertex) ?? vertex;
-        corners[4 * at] = ((slot % positions) + 0.5) / positions;
-        corners[4 * at + 1] = (Math.floor(slot / positions) + 0.5) / rows;
+        corners[4 * at] = ((slot % level) + 0.5) / level;
+        corners[4 * at + 1] = (Math.floor(slot / level) + 0.5) / rows;
         corners.set(avatar.vertexUv.subarray(2 * vertex, 2 * vertex + 2), 4 * at + 2);
       });
       return this._graphics.triangles(faces, corners, [["vertex_place", 2], ["vertex_uv", 2]]);

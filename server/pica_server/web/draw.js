@@ -23,7 +23,6 @@ import { clipFromWorld, lookAt, multiply, NEAR_M } from "./space.js";
  * @property {Matrix} matrix Head frame to world.
  * @property {number} fade 0 is as it is, 1 has faded into the room.
  * @property {number} scale Share of the resolution.
- * @property {number} meshLevel Level of the triangles with full maps; 0 for the maps' own.
  */
 /**
  * @typedef {object} Shown One head in one view.
@@ -34,7 +33,6 @@ import { clipFromWorld, lookAt, multiply, NEAR_M } from "./space.js";
  * @property {Rect} view
  * @property {Rect} rect
  * @property {number} level Of its maps; 0 for the placeholder.
- * @property {number} mesh
  * @property {number[]} fadingRows
  * @property {string} look All that its layer depends on.
  */
@@ -179,10 +177,9 @@ export class Renderer {
     if (!covered) {
       return [];
     }
-    const mesh = level === 256 ? placement.meshLevel || level : level;
-    const look = JSON.stringify([entry.version, ...matrix, covered, placement.scale, mesh]);
+    const look = JSON.stringify([entry.version, ...matrix, covered, placement.scale]);
     const fadingRows = fadingRowsOf(own.body, matrix, view);
-    return [{ key: `${view[0]} ${placement.slot}`, entry: own, placement, matrix, view, rect: covered, level, mesh, fadingRows, look }];
+    return [{ key: `${view[0]} ${placement.slot}`, entry: own, placement, matrix, view, rect: covered, level, fadingRows, look }];
   }
 
   /** Heads whose layers are to be drawn, with these; what no head needs any more is freed. @param {Shown[]} shown @returns {[Shown, Layer][]} */
@@ -220,7 +217,7 @@ export class Renderer {
     gl.depthMask(true);
     graphics.use(layer.surface);
     gl.clear(gl.DEPTH_BUFFER_BIT);
-    const decoded = body instanceof Body && head.level ? body.decoded(head.level, head.mesh) : null;
+    const decoded = body instanceof Body && head.level ? body.decoded(head.level) : null;
     if (decoded && maps) {
       const { position } = maps.of(head.level);
       graphics.bind(UNITS.position_map, position);
@@ -245,7 +242,7 @@ export class Renderer {
       gl.depthMask(true);
       gl.enable(gl.CULL_FACE);
     }
-    const textured = body.textured(head.mesh);
+    const textured = body.textured(head.level);
     if (textured && body.skin) {
       const { program, at } = this._programs.static;
       gl.useProgram(program);
@@ -379,9 +376,9 @@ const layerSize = (size) => [Math.ceil(size[0] / SIDE_STEP_PX) * SIDE_STEP_PX, M
 const clipRect = ([left, bottom, right, top], width, height) => [(2 * left) / width - 1, (2 * bottom) / height - 1, (2 * right) / width - 1, (2 * top) / height - 1];
 
 /** @param {Shown} head */
-function trianglesOf({ entry: { body }, level, mesh }) {
-  const decoded = body instanceof Body && level ? body.decoded(level, mesh)?.count ?? 0 : 0;
-  return (decoded + (body.textured(mesh)?.count ?? 0)) / 3;
+function trianglesOf({ entry: { body }, level }) {
+  const decoded = body instanceof Body && level ? body.decoded(level)?.count ?? 0 : 0;
+  return (decoded + (body.textured(level)?.count ?? 0)) / 3;
 }
 
 /** The whole pixels that a box may cover, within the view; null if nothing is seen. @param {Matrix} matrix @param {number[][]} box @param {Rect} view @returns {Rect | null} */

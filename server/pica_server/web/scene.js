@@ -99,7 +99,6 @@ export class Scene {
     this._renderer.decode(requests);
     for (const { placement, entry: { head } } of placed) {
       placement.scale = head?.choice?.scale ?? 1;
-      placement.meshLevel = head?.choice?.meshLevel ?? 0;
     }
     const room = { places: plan.seats.map((seat) => column(seat, 3)), speaking: entries.map(({ glow }) => Math.ceil(GLOW_STEPS * glow) / GLOW_STEPS) };
     const drawn = this._renderer.draw(placed.map(({ placement }) => placement), views, room, target);
@@ -177,7 +176,7 @@ export class Scene {
     entry.fade += clamp((FADE_OF_STATUS[status] ?? 0) - entry.fade, -step, step);
     entry.glow += clamp((person.isSpeaking ? 1 : 0) - entry.glow, -step, step);
     const matrix = headMatrix(seat, face?.rotation ?? [0, 0, 0], face?.translation ?? [0, 0, 0]);
-    return { person, entry, placement: { slot: person.id, matrix, fade: entry.fade, scale: 1, meshLevel: 0 } };
+    return { person, entry, placement: { slot: person.id, matrix, fade: entry.fade, scale: 1 } };
   }
 
   /** Oneself in the lower left corner, seen from the front. @param {Person} self @param {Target} target @param {number} rise @param {number} sinceS */

@@ -1,5 +1,5 @@
 /**
- * What every head gets in a frame: level, what to decode, mesh, share of its stream; the rules of
+ * What every head gets in a frame: level, what to decode, share of its stream; the rules of
  * `schedule/` in the Python client, whose docstrings say why. Pure.
  */
 
@@ -9,11 +9,10 @@ import { clamp, clipFromWorld, multiply, NEAR_M, viewDirection } from "./space.j
 /** @import { Camera, Matrix, Vector } from "./space.js" */
 /** @typedef {"none" | "expression" | "both"} Decode */
 /** @typedef {{visiblePx: number, headPx: number, numViews: number}} Sight Pixels that nearer heads do not hide; the head's height. */
-/** @typedef {{level: number, decode: Decode, meshLevel: number, scale: number, every: 0 | 1 | 2 | 4}} Choice */
+/** @typedef {{level: number, decode: Decode, scale: number, every: 0 | 1 | 2 | 4}} Choice */
 /** @typedef {{latent: Float32Array, view: Vector, level: number}} Asked */
 
-const DETAIL_PX = [80, 250, 900];
-const DETAILS = [[0, 0], [1, 1], [2, 1], [2, 2]];
+const DETAIL_PX = [80, 900];
 const SHARE_PX = [12, 32];
 const [LEAST_CHANGE, LEAST_TURN_RAD, FACE_S, MAX_AGE_S] = [0.05, 1e-3, 1 / 30, 0.25];
 export const LISTENER_S = 1 / 8;
@@ -160,7 +159,7 @@ export class Scheduler {
     [this._sinceS, this._now] = [Math.min(now - this._now, LISTENER_S), now];
     const seen = heads.filter(({ sight }) => sight.numViews > 0);
     // What a head has counts as height: two who sway side by side must not change places.
-    const heights = new Map(seen.map((head) => [head, head.sight.headPx * STEP ** (head.choice ? head.levels.indexOf(head.choice.meshLevel) : 0)]));
+    const heights = new Map(seen.map((head) => [head, head.sight.headPx * STEP ** (head.choice ? head.levels.indexOf(head.choice.level) : 0)]));
     seen.sort((a, b) => (heights.get(a) ?? 0) - (heights.get(b) ?? 0) || compare(a.slot, b.slot));
     const shrinks = this._fit(seen, budgetS);
     let spentS = this._drawS(seen, shrinks);
@@ -172,30 +171,29 @@ export class Scheduler {
       head.seenS = now;
       const { levels } = head;
       const scale = scaleOf(head, shrink);
-      let [level, mesh] = placesOf(head, shrink);
+      let level = placeOf(head, shrink);
       let decode = wanted(head, levels[level], now);
       if (decode !== "none") {
         // One is decoded in any case, so that not everybody is overdue at once, and the few who speak.
         const askedS = decode === "both" ? head.latentAskedS : head.askedS;
         const isNeeded = now - askedS >= MAX_AGE_S || !hasDecoded || (areFew && !head.isListening);
         const held = head.asked ? levels.indexOf(head.asked.level) : level;
-        const heldMesh = held === levels.length - 1 ? mesh : held;
         const decodeS = this.costs.decodeS(levels[level], decode);
-        if (isNeeded || heldMesh > mesh || spentS + decodeS <= budgetS) {
+        if (isNeeded || held > level || spentS + decodeS <= budgetS) {
           spentS += decodeS;
           hasDecoded = true;
         } else {
-          [decode, level, mesh] = ["none", held, heldMesh];
+          [decode, level] = ["none", held];
         }
       }
       shadedPx += scale ** 2 * head.sight.visiblePx;
-      head.choice = { level: levels[level], decode, meshLevel: levels[mesh], scale, every: this._every(head) };
+      head.choice = { level: levels[level], decode, scale, every: this._every(head) };
     }
     for (const head of heads) {
       if (!head.sight.numViews) {
         head.seenS ??= now;
         const level = head.asked?.level ?? head.levels[0];
-        head.choice = { level, decode: "none", meshLevel: level, scale: 1, every: now - head.seenS < STREAM_HOLD_S ? 1 : 0 };
+        head.choice = { level, decode: "none", scale: 1, every: now - head.seenS < STREAM_HOLD_S ? 1 : 0 };
       }
     }
     return { costS: spentS, isShort: this.isShort, shadedPx };
@@ -207,7 +205,7 @@ export class Scheduler {
     const costS = (turns) => {
       const shrinks = shrinksOf(seen.length, turns);
       const decodesS = seen.reduce((sum, head, index) => {
-        const level = head.levels[placesOf(head, shrinks[index])[0]];
+        const level = head.levels[placeOf(head, shrinks[index])];
         return sum + this._share(head) * this.costs.decodeS(level, "both");
       }, 0);
       return this._drawS(seen, shrinks) + decodesS;
@@ -242,7 +240,7 @@ export class Scheduler {
   _drawS(seen, shrinks) {
     const [frameS, triangleS, pixelS] = this.costs.draw;
     return seen.reduce((sum, head, index) => {
-      const triangles = head.sight.numViews * head.numTriangles[placesOf(head, shrinks[index])[1]];
+      const triangles = head.sight.numViews * head.numTriangles[placeOf(head, shrinks[index])];
       const pixels = scaleOf(head, shrinks[index]) ** 2 * head.sight.visiblePx;
       return sum + this._share(head) * (pixelS * pixels + triangleS * triangles);
     }, seen.length ? frameS : 0);
@@ -320,15 +318,12 @@ export class CostModel {
   }
 }
 
-/** Places, among an avatar's levels, of the maps and of the mesh. @param {Head} head @param {number} shrink */
-function placesOf({ levels, asked, choice, sight }, shrink) {
-  if (levels.length === 1) {
-    return [0, 0];
-  }
-  const isFine = choice?.meshLevel === levels[levels.length - 1];
-  const held = (asked ? levels.indexOf(asked.level) : 0) + (isFine ? 1 : 0);
+/** Which of an avatar's levels a head gets. @param {Head} head @param {number} shrink */
+function placeOf({ levels, asked, sight }, shrink) {
+  const held = asked ? levels.indexOf(asked.level) : 0;
   const height = sight.headPx / shrink;
-  return DETAILS[DETAIL_PX.filter((least, number) => height >= least * (number < held ? KEEP_RATIO : 1)).length];
+  const reached = DETAIL_PX.filter((least, number) => height >= least * (number < held ? KEEP_RATIO : 1));
+  return Math.min(reached.length, levels.length - 1);
 }
 
 /** The share of the resolution that a head is drawn with. @param {Head} head @param {number} shrink */

@@ -120,15 +120,12 @@ def test_a_map_that_does_not_come_stays(context: moderngl.Context, maps: Maps) -
     np.testing.assert_array_equal(drawn(both, placed()), drawn(apart, placed()))
 
 
-@pytest.mark.parametrize(
-    ("level", "asked", "mesh_level"), [(256, 64, 64), (256, None, 256), (128, 64, 128)]
-)
-def test_full_maps_are_drawn_with_any_mesh_and_others_with_their_own(
-    context: moderngl.Context, maps: Maps, level: int, asked: int | None, mesh_level: int
+@pytest.mark.parametrize("level", TOY.levels)
+def test_maps_are_drawn_with_the_mesh_of_their_level(
+    context: moderngl.Context, maps: Maps, level: int
 ) -> None:
-    renderer = renderer_with(context, maps, level)
-    stats = renderer.draw([placed(mesh_level=asked)], NEAR)
-    assert stats.num_triangles == len(TOY.level_faces(mesh_level))
+    stats = renderer_with(context, maps, level).draw([placed()], NEAR)
+    assert stats.num_triangles == len(TOY.level_faces(level))
 
 
 @pytest.mark.parametrize("level", TOY.levels[:-1])
@@ -191,7 +188,7 @@ def test_after_the_first_frames_nothing_is_made_whatever_changes(
     before = gpu_objects()
     for index in range(12):
         renderer.update_maps("p0", *maps[TOY.levels[index % 3]])
-        renderer.draw([placed(mesh_level=TOY.levels[index % 2])], *eyes, count_pixels=True)
+        renderer.draw([placed()], *eyes, count_pixels=True)
     assert gpu_objects() == before
 
 

@@ -101,18 +101,6 @@ def test_behind_the_viewer_nothing_is_decoded_until_it_comes_back(avatar: Avatar
     assert ada.choice.every
 
 
-def test_a_mesh_that_is_meant_for_maps_to_come_waits_for_them(avatar: Avatar) -> None:
-    scheduler, ada = Scheduler(), head(avatar)
-    ada.world_from_head[2, 3] = 0.5
-    (request,) = asked(scheduler, ada)
-    assert ada.dressed(PLACEMENT).mesh_level is None
-    ada.show(request.level or 0)
-    assert ada.dressed(PLACEMENT).mesh_level == 256
-    ada.world_from_head[2, 3] = -0.4
-    planned(scheduler, ada, now=FRAME_S)
-    assert ada.dressed(PLACEMENT).mesh_level == 128, "a far head has fewer triangles"
-
-
 def test_both_eyes_share_one_decode(avatar: Avatar) -> None:
     ada, scheduler = head(avatar), Scheduler()
     eyes = [camera_at(side_m=side_m) for side_m in (-0.03, 0.03)]

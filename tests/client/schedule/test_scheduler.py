@@ -41,7 +41,7 @@ def view(
     slot: str = "ada",
     head_px: float = 300.0,
     *,
-    held_level: int | None = 256,
+    held_level: int | None = 128,
     age_s: float = FRAME_S,
     num_views: int = 1,
     latent_change: float = 0.3,
@@ -68,9 +68,9 @@ def choose(head: Head, budget_s: float = AMPLE_S) -> Choice:
     return plan(head, budget_s=budget_s).choices[head.slot]
 
 
-def detail(choice: Choice) -> tuple[float, int, int]:
+def detail(choice: Choice) -> tuple[float, int]:
     """How fine a head is drawn."""
-    return choice.scale, choice.level, choice.mesh_level
+    return choice.scale, choice.level
 
 
 # What a single head gets
@@ -92,13 +92,13 @@ def test_what_has_changed_is_decoded(
 ) -> None:
     head = view(latent_change=latent_change, view_turn_rad=view_turn_rad, age_s=age_s)
     choice = choose(head)
-    assert (choice.decode, choice.level) == (decode, 256)
+    assert (choice.decode, choice.level) == (decode, 128)
 
 
 def test_detail_and_the_part_of_a_stream_follow_the_height_on_the_screen() -> None:
     heights = (30, 100, 300, 1000)
     found = [detail(choose(view(head_px=px, held_level=None))) for px in heights]
-    assert found == [(1, 64, 64), (1, 128, 128), (1, 256, 128), (1, 256, 256)]
+    assert found == [(1, 64), (1, 128), (1, 128), (1, 256)]
     assert [choose(view(head_px=px)).every for px in (5, 20, 200)] == [4, 2, 1]
 
 
@@ -111,7 +111,7 @@ def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_co
     free = scheduler.plan(people, AMPLE_S, NOW_S)
     short = scheduler.plan(people, 0.7 * free.cost_s, NOW_S + FRAME_S)
     assert (free.is_short, short.is_short) == (False, True)
-    assert [detail(choice) for choice in short.choices.values()] == [(1, 256, 128)] * 5
+    assert [detail(choice) for choice in short.choices.values()] == [(1, 128)] * 5
     assert short.cost_s < 0.7 * free.cost_s
     assert [choice.every for choice in free.choices.values()] == [1] * 5
     assert [choice.every for choice in short.choices.values()] == [1, 2, 2, 2, 2]
@@ -227,14 +227,14 @@ def test_two_heads_that_sway_side_by_side_do_not_take_detail_from_each_other() -
             height = 300 * (1 + 0.03 * np.sin(frame / 5 + np.pi * number))
             head.sight = head.sight._replace(head_px=height)
         made = scheduler.plan(heads, budget_s, frame * FRAME_S)
-        found.append(tuple(choice.mesh_level for choice in made.choices.values()))
+        found.append(tuple(choice.level for choice in made.choices.values()))
     assert len(set(found[30:])) == 1
 
 
 def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
     scheduler, head = Scheduler(), view(head_px=1000)
-    assert detail(scheduler.plan([head], 0.0, 1.0).choices["ada"]) == (0.5, 64, 64)
-    assert detail(scheduler.plan([head], AMPLE_S, 2.0).choices["ada"]) == (1, 256, 256)
+    assert detail(scheduler.plan([head], 0.0, 1.0).choices["ada"]) == (0.5, 64)
+    assert detail(scheduler.plan([head], AMPLE_S, 2.0).choices["ada"]) == (1, 256)
 
 
 def test_what_is_measured_reaches_the_cost_model() -> None:
@@ -243,7 +243,6 @@ def test_what_is_measured_reaches_the_cost_model() -> None:
     result = DecodeResult("ada", maps, None, started_s=0.0, finished_s=0.05)
     scheduler.note_decoded(head, result, 1e-3)
     assert scheduler.costs.decode_s(head.model, 256, "both") == pytest.approx(0.051)
-    assert head.shown_level == 256
 
 
 # Whatever the heads
