@@ -5,15 +5,15 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http import HTTPStatus
+from itertools import islice
 from typing import Any, Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Peer
 from pica_server.config import RelayConfig
 from pica_server.limits import RefusalError
 from pica_server.room.connections import CALM_S
 from pica_server.room.hub import Hub
-from pica_server.room.room import Room
+from pica_server.room.room import Connection, Room
 from pica_server.stats import CONTENT_TYPE, metrics_text
 from pica_server.store.store import AvatarStore
 from pica_server.tokens import ANY_ROOM
@@ -64,8 +64,7 @@ class StatusPages:
                 if self._hub.overload.refuses(now):
                     page = _verdict("late, no new peers are admitted")
                     return replace(page, headers={"Retry-After": f"{CALM_S:.0f}"})
-                is_full = self._hub.num_connections >= self._config.max_connections
-                return _verdict("full" if is_full else "", note)
+                return _verdict("full" if self._hub.connections.is_full else "", note)
             case "/metrics" if is_local:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
             case "/rooms":
@@ -92,9 +91,9 @@ class StatusPages:
         num_left, is_cut = MAX_LISTED, False
         for room in self._hub.membership.rooms.values():
             if scope in (ANY_ROOM, room.name):
-                people = [_person(room, peer) for peer in room.peers[:num_left]]
+                people = [_person(room, each) for each in islice(room.members.values(), num_left)]
                 num_left -= len(people)
-                is_cut = is_cut or len(people) < len(room.peers)
+                is_cut = is_cut or len(people) < len(room.members)
                 if people:
                     rooms.append({"room": room.name, "people": people})
         text = json.dumps({"rooms": rooms, "is_cut": is_cut})
@@ -134,13 +133,13 @@ def _unauthorized(text: str) -> Page:
     return Page(HTTPStatus.UNAUTHORIZED, f"{text}\n", headers=headers)
 
 
-def _person(room: Room, peer: Peer) -> dict[str, Any]:
-    muted = room.muted_of(peer.peer_id)
+def _person(room: Room, member: Connection) -> dict[str, Any]:
+    peer, muted = member.peer, room.muted_of([member])
     return {
         "peer_id": peer.peer_id,
         "name": peer.name,
         "identity": peer.identity,
-        "is_away": peer.peer_id in room.away,
+        "is_away": member.closed is not None,
         "tracks": [
             {"kind": track.kind, "stream": track.stream, "is_muted": track.stream in muted}
             for track in peer.tracks

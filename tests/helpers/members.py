@@ -7,8 +7,8 @@ from pica_protocol.codec import decode_message
 from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import Message, Metadata, Track
 from pica_server.config import RelayConfig
-from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
+from pica_server.room.room import Connection
 
 FACE = Track(kind="face")
 VOICE = Track(kind="voice", policy="ordered", deadline_ms=200)

@@ -368,7 +368,7 @@ def _check(hub: Hub, friends: list[Friend]) -> None:
                     raise BrokenPromiseError(
                         f"{friend.name} got {came:.0%} of {other.name}'s {kind}s"
                     )
-    if {peer.identity for peer in hub.membership.rooms["lobby"].peers} != names:
+    if {each.peer.identity for each in hub.membership.rooms["lobby"].members.values()} != names:
         raise BrokenPromiseError("a member is still in the room")
     if len(hub.membership.rooms) != 1 or hub.num_connections != len(friends):
         raise BrokenPromiseError(f"{hub.num_connections} connections, {hub.num_rooms} rooms")

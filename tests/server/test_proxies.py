@@ -135,7 +135,7 @@ async def test_a_connection_belongs_to_the_client_behind_a_trusted_proxy(
             additional_headers={"X-Forwarded-For": "203.0.113.9"},
         ),
     ):
-        (connection,) = relay.hub.connections.by_peer.values()
+        (connection,) = relay.hub.connections.open
         assert connection.address == address
 
 

@@ -103,9 +103,7 @@ def test_an_admin_sees_the_rooms_of_the_token_and_who_is_in_them() -> None:
     Member(hub, "Bob", room="attic", tracks=())
     lobby = hub.membership.rooms.get("lobby")
     assert lobby is not None
-    stream = lobby.streams.get(ada.stream)
-    assert stream is not None
-    hub.connections.mute(lobby, ada.stream, stream, is_muted=True, now=0.0)
+    hub.connections.mute(lobby, lobby.streams[ada.stream], is_muted=True, now=0.0)
     status, found = rooms(answers, "Bearer lobby")
     assert status == 200
     tracks = [

@@ -28,9 +28,9 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frames import media_message
 from pica_server.config import RelayConfig
 from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
-from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
+from pica_server.room.room import Connection
 
 _SEND_BUFFER_BYTES = 16_384
 """Bytes of one connection that the kernel may hold, and may round up (chosen: what waits there is
@@ -109,7 +109,7 @@ class Pump:
             set_tcp_option(sock, socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         hub, began_s = self._hub, self._now()
         connection = hub.connect(began_s, websocket.address)
-        peer = connection.peer = _Peer(websocket)
+        peer = connection.shell = _Peer(websocket)
         self._peers.add(peer)
         try:
             if websocket.subprotocol is None:
@@ -132,7 +132,7 @@ class Pump:
             if peer.writer is not None:
                 peer.writer.cancel()
             hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
-            connection.peer = None
+            connection.shell = None
             self._peers.remove(peer)
             self.send_all()
             self._log_closed(connection, began_s)
@@ -187,7 +187,7 @@ class Pump:
         oldest_s = now
         num_messages = num_bytes = num_frames = 0
         for connection in self._hub.take_ready():
-            peer: _Peer | None = connection.peer
+            peer: _Peer | None = connection.shell
             if peer is None:
                 continue
             outbox = connection.outbox

@@ -29,14 +29,10 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, ServerEvent
 from pica_server.config import RelayConfig
-from pica_server.room.connections import (
-    MESSAGE_COST_BYTES,
-    Connection,
-    Connections,
-    Overload,
-)
+from pica_server.room.connections import Connections, Overload
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
+from pica_server.room.room import Connection
 from pica_server.stats import RelayStats
 from pica_server.tokens import Admission
 
@@ -76,7 +72,7 @@ class Hub:
     @property
     def num_connections(self) -> int:
         """Connections that are not over yet."""
-        return len(self.connections.by_peer)
+        return len(self.connections.open)
 
     @property
     def num_rooms(self) -> int:
@@ -85,8 +81,8 @@ class Hub:
 
     def takes_rooms(self, now: float) -> bool:
         """Whether there is a place for rooms that are placed on this relay."""
-        is_full = self.num_connections >= self._config.max_connections
-        return not (is_full or self.connections.is_draining or self.overload.refuses(now))
+        connections = self.connections
+        return not (connections.is_full or connections.is_draining or self.overload.refuses(now))
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket, see `Connections.connect`."""
@@ -103,16 +99,13 @@ class Hub:
             self.stats.bytes_in += len(data)
             if isinstance(data, bytes) and data.startswith(MEDIA_PREFIX):  # nearly always
                 spans = session.receive_media(data)
-                cost_bytes = len(data) + MESSAGE_COST_BYTES * (len(spans) or 1)
-                if not connection.bytes_in.take(now, cost_bytes):
-                    self.connections.close_too_fast(connection, now)
+                self.connections.pay(connection, len(data), len(spans) or 1, now)
                 if session.closed is None:
                     self.connections.forward(connection, data, spans, now, last)
                 else:
                     self.membership.clear_up(connection, now)
                 continue
-            if not connection.bytes_in.take(now, len(data) + MESSAGE_COST_BYTES):
-                self.connections.close_too_fast(connection, now)
+            self.connections.pay(connection, len(data), 1, now)
             for event in session.receive_data(data, now):
                 self._handle(connection, event, now)
             self.connections.flush(connection, now)
@@ -129,16 +122,16 @@ class Hub:
         """
         config, connections, rooms = self._config, self.connections, self.membership.rooms
         connections.is_draining = True
-        roomless = [each for each in connections.by_peer.values() if each.room is None]
+        roomless = [each for each in connections.open if each.room is None]
         connections.send_elsewhere(roomless, now)
         # Rooms follow each other as fast as a relay with our own limits lets peers join, or as fast
         # as the time allows; each goes together, so its people keep sight of each other.
-        num_people = sum(map(len, rooms.values()))
+        num_people = sum(len(room.members) for room in rooms.values())
         longest_s = min(num_people / config.limits.joins_per_s, TELLING_SHARE * config.drain_s)
         num_gone = 0
         for name, room in rooms.items():
             self._departures.append((now + longest_s * num_gone / num_people, name))
-            num_gone += len(room)
+            num_gone += len(room.members)
         self._send_rooms_away(now)
 
     def take_ready(self) -> list[Connection]:

@@ -92,7 +92,8 @@ class Relay:
 
     def __init__(self, store: Store, since_s: float = 0.0, load: int = 0) -> None:
         self.hub = Hub(RelayConfig())
-        self.hub.connections.by_peer.update(dict.fromkeys(map(str, range(load))))  # type: ignore[arg-type]
+        for _ in range(load):
+            self.hub.connect(0.0)
         self.rooms = self.hub.membership.rooms
         self.redirects: list[str] = []
         self.bucket = FakeBucket(store)
