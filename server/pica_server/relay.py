@@ -6,12 +6,10 @@ What moves between the websockets and the hub, `pica_server.net.pump` moves.
 import asyncio
 import logging
 import secrets
-import socket
 import ssl
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from http import HTTPStatus
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -32,7 +30,7 @@ from pica_server.room.hub import Hub
 from pica_server.status_pages import StatusPages
 from pica_server.store.store import AvatarStore
 from pica_server.store.transfers import Downloads, Uploads
-from pica_server.tokens import Keys, admin_scope, admit, admit_upload, load_keys
+from pica_server.tokens import admin_scope, admit, admit_upload, load_keys
 from pica_server.web import avatar_files
 from pica_server.web_page import WebPage, page_files
 
@@ -49,9 +47,9 @@ _WRITE_LIMIT_BYTES = 1  # of 0, TLS of the standard library would make no end of
 library waits until three quarters of it have drained: seconds of a slow reader's time, in which its
 streams fall behind and are cut."""
 
-CERTIFICATE_PERIOD_S = 600.0
-"""Between two readings of the files of the certificate, and of the keys (chosen: two milliseconds
-of work)."""
+READ_AGAIN_S = 600.0
+"""Between two readings of the files of the certificate and of the keys, which may be replaced while
+connections go on (chosen: two milliseconds of work)."""
 
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
@@ -105,9 +103,7 @@ class Relay:
         self._uploads = Uploads(
             self.store, may_upload, counts, self._transfers, config.handshake_timeout_s
         )
-        self.certificate: Certificate | None = None
-        if config.tls_cert is not None and config.tls_key is not None:
-            self.certificate = Certificate(config.tls_cert, config.tls_key)
+        self.tls = _tls_context(config)
         self._proxies = networks(config.trusted_proxies)
         self._metrics_to = networks(config.metrics_to)
         self._is_private = is_loopback(config.host)
@@ -138,14 +134,14 @@ class Relay:
         self._pages = StatusPages(self.hub, config, self.store, admin_room)
         self._web_page = WebPage(page_files()) if config.web else None
         self._watching: asyncio.TimerHandle | None = None
-        self._keeping: list[asyncio.Task[None]] = []
+        self._keeping: asyncio.Task[None] | None = None
 
     @property
     def url(self) -> str:
         """Where it listens, with the port that it really has."""
         assert self._server is not None, "only while it listens"
         host, port = self._server.sockets[0].getsockname()[:2]
-        scheme = "ws" if self.certificate is None else "wss"
+        scheme = "ws" if self.tls is None else "wss"
         return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"
 
     def stats(self) -> dict[str, Any]:
@@ -163,7 +159,9 @@ class Relay:
         try:
             self._server = await serve(
                 self._serve,
-                **_address(config),
+                # Both families, as elsewhere on Linux.
+                host=["0.0.0.0", "::"] if config.host == "::" else config.host,  # type: ignore[arg-type]
+                port=config.port,
                 create_connection=self._guarded_connection,  # type: ignore[arg-type]
                 process_request=self._answer,
                 subprotocols=[Subprotocol(SUBPROTOCOL), Subprotocol(STORE_SUBPROTOCOL)],
@@ -193,10 +191,7 @@ class Relay:
                 await self.__aexit__(None, None, None)
                 raise
         self._watch_later()
-        if self.certificate is not None:
-            self._keeping.append(asyncio.create_task(self.certificate.keep_fresh()))
-        if self._keys is not None:
-            self._keeping.append(asyncio.create_task(self._keep_keys(self._keys)))
+        self._keeping = asyncio.create_task(self._read_again())
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -215,22 +210,29 @@ class Relay:
         if self.store is not None:
             self.store.close()
         self._pump.stop()
-        for watching in (self._watching, *self._keeping):
+        for watching in (self._watching, self._keeping):
             if watching is not None:
                 watching.cancel()
 
-    async def _keep_keys(self, keys: Keys) -> None:
-        """Read the key file again now and then: tokens of a removed key end."""
-        assert self.config.keys is not None
+    async def _read_again(self) -> None:
+        """Read certificate and keys again now and then: tokens of a removed key end. What cannot be
+        used never replaces what can, and a connection keeps the certificate that it began with."""
         while True:
-            await asyncio.sleep(CERTIFICATE_PERIOD_S)
+            await asyncio.sleep(READ_AGAIN_S)
+            try:
+                self.tls = _tls_context(self.config)
+            except ConfigurationError as error:
+                spoken = f"the old certificate stays: {error}"
+                say(_logger, "certificate refused", spoken, why=str(error))
+            if self._keys is None or self.config.keys is None:
+                continue
             try:
                 fresh = load_keys(self.config.keys)
             except ConfigurationError as error:
                 say(_logger, "keys refused", f"the old keys stay: {error}", why=str(error))
                 continue
-            keys.clear()
-            keys.update(fresh)
+            self._keys.clear()
+            self._keys.update(fresh)
 
     def _answer(
         self, websocket: ServerConnection, request: Request
@@ -315,9 +317,8 @@ class Relay:
         connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
         connection.silent = self._silent
-        if self.certificate is not None:
-            # Not the server's: the guard is to be asked before the dear work of a handshake begins.
-            connection.tls = self.certificate.context
+        # Not the server's: the guard is to be asked before the dear work of a handshake begins.
+        connection.tls = self.tls
         connection.handshake_timeout_s = self.config.handshake_timeout_s
         connection.stats = self.hub.stats
         connection.proxies = self._proxies
@@ -338,20 +339,6 @@ class Relay:
         return asyncio.get_running_loop().time()
 
 
-def _address(config: RelayConfig) -> dict[str, Any]:
-    """Return where to listen; ``::`` stands for both families, as elsewhere on Linux.
-
-    Raises:
-        OSError: The address is taken, or is not ours.
-    """
-    if config.host != "::" or not socket.has_dualstack_ipv6():
-        return {"host": config.host, "port": config.port}
-    listening = socket.create_server(
-        (config.host, config.port), family=socket.AF_INET6, dualstack_ipv6=True
-    )
-    return {"sock": listening}
-
-
 def _select_subprotocol(
     _websocket: ServerConnection, offered: Sequence[Subprotocol]
 ) -> Subprotocol | None:
@@ -362,41 +349,15 @@ def _select_subprotocol(
     return None
 
 
-class Certificate:
-    """A certificate with its key, and the TLS settings of a relay; read from files, and again while
-    connections go on.
+def _tls_context(config: RelayConfig) -> ssl.SSLContext | None:
+    """Read the certificate and its key; None without TLS.
 
-    A connection keeps the certificate that it began with; one that begins later gets the new one.
-
-    Attributes:
-        context: What connections begin with.
+    Raises:
+        ConfigurationError: One of them cannot be used; one line with the flag and the fix.
     """
-
-    def __init__(self, cert: Path, key: Path) -> None:
-        """Read the files.
-
-        Args:
-            cert: The certificate and those between it and a root, in PEM format.
-            key: Its private key in PEM format, without a password.
-
-        Raises:
-            ConfigurationError: One of them cannot be used; one line with the flag and the fix.
-        """
-        self._cert, self._key = cert, key
-        self.context = _context(cert, key)
-
-    async def keep_fresh(self) -> None:
-        """Read the files again now and then; what cannot be used never replaces what can."""
-        while True:
-            await asyncio.sleep(CERTIFICATE_PERIOD_S)
-            try:
-                self.context = _context(self._cert, self._key)
-            except ConfigurationError as error:
-                spoken = f"the old certificate stays: {error}"
-                say(_logger, "certificate refused", spoken, why=str(error))
-
-
-def _context(cert: Path, key: Path) -> ssl.SSLContext:
+    cert, key = config.tls_cert, config.tls_key
+    if cert is None or key is None:
+        return None
     for flag, path in (("tls-cert", cert), ("tls-key", key)):
         try:
             text = path.read_bytes()
@@ -411,7 +372,8 @@ def _context(cert: Path, key: Path) -> ssl.SSLContext:
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.set_alpn_protocols(["http/1.1"])
     try:
-        context.load_cert_chain(cert, key, password=_no_password)
+        # A password would keep OpenSSL from asking on the terminal.
+        context.load_cert_chain(cert, key, password="")
     except ssl.SSLError as error:
         if error.reason == "KEY_VALUES_MISMATCH":
             raise ConfigurationError(f"--tls-key {key}: it is not the key of {cert}") from error
@@ -420,8 +382,3 @@ def _context(cert: Path, key: Path) -> ssl.SSLContext:
             f"--tls-cert {cert}: it or its key {key} cannot be used: {reason}"
         ) from error
     return context
-
-
-def _no_password() -> str:
-    """Keep OpenSSL from asking on the terminal."""
-    return ""

@@ -18,7 +18,7 @@ from pica_client.transport.link import Link
 from pica_protocol.limits import bound_tls_buffer
 from pica_protocol.messages import Joined
 from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
-from pica_server.relay import CERTIFICATE_PERIOD_S, Certificate, Relay
+from pica_server.relay import READ_AGAIN_S, Relay
 from simnet.clock import in_virtual_time
 
 pytestmark = pytest.mark.realtime
@@ -31,6 +31,10 @@ def cert(tmp_path: Path) -> Path:
 
 def key_of(cert: Path) -> Path:
     return cert.with_suffix(".key")
+
+
+def loaded(cert: Path, key: Path) -> ssl.SSLContext | None:
+    return Relay(RelayConfig(tls_cert=cert, tls_key=key, avatar_store="none")).tls
 
 
 def test_a_certificate_needs_its_key_beside_it() -> None:
@@ -56,7 +60,7 @@ def test_files_that_cannot_be_used_are_named_in_one_line(cert: Path, tmp_path: P
         ((cert, cert), "--tls-cert .*relay.pem: it or its key .* cannot be used"),
     ):
         with pytest.raises(ConfigurationError, match=complaint) as caught:
-            Certificate(*pair)
+            loaded(*pair)
         assert "\n" not in str(caught.value)
 
 
@@ -64,17 +68,15 @@ def test_files_that_cannot_be_used_are_named_in_one_line(cert: Path, tmp_path: P
 async def test_files_are_read_again_and_what_cannot_be_used_never_replaces_what_can(
     cert: Path, tmp_path: Path
 ) -> None:
-    certificate = Certificate(cert, key_of(cert))
-    keeping = asyncio.create_task(certificate.keep_fresh())
-    first = certificate.context
-    other = write_certificate(tmp_path, "other")
-    shutil.copy(other, cert)  # and not its key, yet
-    await asyncio.sleep(CERTIFICATE_PERIOD_S + 1)
-    assert certificate.context is first
-    shutil.copy(key_of(other), key_of(cert))
-    await asyncio.sleep(CERTIFICATE_PERIOD_S)
-    assert certificate.context is not first
-    keeping.cancel()
+    async with Relay(RelayConfig(tls_cert=cert, tls_key=key_of(cert))) as relay:
+        first = relay.tls
+        other = write_certificate(tmp_path, "other")
+        shutil.copy(other, cert)  # and not its key, yet
+        await asyncio.sleep(READ_AGAIN_S + 1)
+        assert relay.tls is first
+        shutil.copy(key_of(other), key_of(cert))
+        await asyncio.sleep(READ_AGAIN_S)
+        assert relay.tls is not first
 
 
 def client_context() -> ssl.SSLContext:
@@ -114,12 +116,11 @@ async def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
 
     async with tls_relay(cert) as (relay, port):
         assert relay.url.startswith("wss://127.0.0.1:")
-        assert relay.certificate is not None
         link = Link(LinkConfig(url=relay.url, room="r"), on_event=note)
         running = asyncio.create_task(link.run())
         await joined.get()
         renewed = write_certificate(tmp_path, "renewed")
-        relay.certificate.context = Certificate(renewed, key_of(renewed)).context
+        relay.tls = loaded(renewed, key_of(renewed))
         served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
         assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
         monkeypatch.setenv("SSL_CERT_FILE", str(renewed))

@@ -53,12 +53,11 @@ _logger = logging.getLogger(__name__)
 class _Peer:
     """One websocket and the task that writes to it while it is slow, or closes it."""
 
-    __slots__ = ("cut", "has_more", "is_urgent", "websocket", "writer")
+    __slots__ = ("has_more", "is_urgent", "websocket", "writer")
 
     def __init__(self, websocket: RelaySocket) -> None:
         self.websocket = websocket
         self.writer: asyncio.Task[None] | None = None
-        self.cut: asyncio.TimerHandle | None = None
         self.has_more: asyncio.Event | None = None
         self.is_urgent: asyncio.Event | None = None
 
@@ -127,8 +126,6 @@ class Pump:
             if peer.writer is not None:
                 await asyncio.wait([peer.writer])
         finally:
-            if peer.cut is not None:
-                peer.cut.cancel()
             if peer.writer is not None:
                 peer.writer.cancel()
             hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
@@ -228,7 +225,7 @@ class Pump:
                 peer.writer = asyncio.get_running_loop().create_task(write)
             peer.has_more.set()
             if connection.closed is not None:
-                self._cut_later(peer)
+                peer.websocket.cut_later(self._close_timeout_s())
             if outbox.is_urgent or connection.closed is not None:
                 peer.is_urgent.set()
         if num_messages:
@@ -276,14 +273,6 @@ class Pump:
             return
         finally:
             peer.writer = peer.has_more = peer.is_urgent = None
-
-    def _cut_later(self, peer: _Peer) -> None:
-        """Cut the socket of a peer that does not let us close it in time. The library's own
-        ``close_timeout`` starts only once its buffer has drained, and the buffer of a peer that
-        does not read never drains."""
-        if peer.cut is None:
-            abort = peer.websocket.transport.abort
-            peer.cut = asyncio.get_running_loop().call_later(self._close_timeout_s(), abort)
 
     def _close_timeout_s(self) -> float:
         """How long a peer may take to read the rest and to close."""

@@ -313,9 +313,15 @@ class RelaySocket(ServerConnection):
         was_open = self.state is State.OPEN
         super().data_received(data[at:] if at else data)
         self._is_between_frames = self._awaits_frame()
-        if was_open and self.state is not State.OPEN and self._cut is None:
+        if was_open and self.state is not State.OPEN:
             # Who broke a rule may not care to close; till then its face stays, and is frozen.
-            self._cut = self.loop.call_later(self.close_timeout or 0, self.transport.abort)
+            self.cut_later(self.close_timeout or 0)
+
+    def cut_later(self, seconds: float) -> None:
+        """Cut it if it is not closed by then. The library's own ``close_timeout`` starts only once
+        its buffer has drained, and the buffer of a peer that does not read never drains."""
+        if self._cut is None:
+            self._cut = self.loop.call_later(seconds, self.transport.abort)
 
     def eof_received(self) -> None:
         """Take note that no more comes."""

@@ -146,12 +146,11 @@ class Connections:
             self.stats.limits_hit[limit] += 1
             self.close(connection, code, reason, now)
 
-    def pay(self, connection: Connection, num_bytes: int, num_messages: int, now: float) -> None:
-        """Count what a client sends; who sends more than a client may is closed."""
-        if not connection.bytes_in.take(now, num_bytes + MESSAGE_COST_BYTES * num_messages):
-            limit = f"{self.config.limits.bytes_per_s:g} bytes"
-            reason = f"more than {limit} a second, with {MESSAGE_COST_BYTES} for each message"
-            self.refuse(connection, "bytes", CloseCode.TOO_FAST, reason, now)
+    def close_too_fast(self, connection: Connection, now: float) -> None:
+        """Close who sends more than a client may."""
+        limit = f"{self.config.limits.bytes_per_s:g} bytes"
+        reason = f"more than {limit} a second, with {MESSAGE_COST_BYTES} for each message"
+        self.refuse(connection, "bytes", CloseCode.TOO_FAST, reason, now)
 
     def send_elsewhere(self, connections: Sequence[Connection], now: float, url: str = "") -> None:
         """Redirect some, to a relay that has their room, or because this one is stopping; none of

@@ -29,7 +29,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, ServerEvent
 from pica_server.config import RelayConfig
-from pica_server.room.connections import Connections, Overload
+from pica_server.room.connections import MESSAGE_COST_BYTES, Connections, Overload
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Connection
@@ -99,13 +99,16 @@ class Hub:
             self.stats.bytes_in += len(data)
             if isinstance(data, bytes) and data.startswith(MEDIA_PREFIX):  # nearly always
                 spans = session.receive_media(data)
-                self.connections.pay(connection, len(data), len(spans) or 1, now)
+                cost_bytes = len(data) + MESSAGE_COST_BYTES * (len(spans) or 1)
+                if not connection.bytes_in.take(now, cost_bytes):
+                    self.connections.close_too_fast(connection, now)
                 if session.closed is None:
                     self.connections.forward(connection, data, spans, now, last)
                 else:
                     self.membership.clear_up(connection, now)
                 continue
-            self.connections.pay(connection, len(data), 1, now)
+            if not connection.bytes_in.take(now, len(data) + MESSAGE_COST_BYTES):
+                self.connections.close_too_fast(connection, now)
             for event in session.receive_data(data, now):
                 self._handle(connection, event, now)
             self.connections.flush(connection, now)

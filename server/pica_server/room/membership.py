@@ -169,7 +169,6 @@ class Membership:
             reason = "an admin has barred you until the room is empty"
             refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
             return
-        self._make_place(room, now)
         if room.is_full:
             reason = f"room {join.room} is full: {capacity} peers"
             refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
@@ -336,13 +335,6 @@ class Membership:
             self._connections.send(member, PeerAway(peer_id=other.peer_id), now)
         for number in room.muted_of(room.members.values()):
             self._connections.send(member, StreamMuted(stream=number, is_muted=True), now)
-
-    def _make_place(self, room: Room, now: float) -> None:
-        """If a room is full, give up the place of who has been away longest in it and has no
-        identity: else a peer that comes and drops connections keeps a room full of absent ones."""
-        nobodies = [m for m in self._away if m.room is room and not m.peer.identity]
-        for member in nobodies[:1] if room.is_full else ():
-            self._give_up(member, "lost", now)
 
     def _replace(
         self, room: Room, connection: Connection, join: Join, identity: str, now: float

@@ -114,8 +114,9 @@ def test_a_zone_is_understood_and_a_silent_first_address_keeps_from_no_second(
 @pytest.mark.asyncio
 async def test_two_colons_listen_for_both_families_and_zones() -> None:
     zone = socket.if_nametoindex("lo")
-    async with Relay(RelayConfig(host="::", port=0, insecure=True)) as relay:
-        port = relay.url.rpartition(":")[2]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    async with Relay(RelayConfig(host="::", port=port, insecure=True)):
         for host in ("127.0.0.1", "[::1]", f"[::1%{zone}]", f"[::1%25{zone}]"):
             async with await open_websocket(f"ws://{host}:{port}") as websocket:
                 assert websocket.subprotocol == SUBPROTOCOL

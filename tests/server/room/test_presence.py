@@ -135,22 +135,6 @@ def test_a_place_that_is_kept_for_an_identity_counts_for_the_capacity() -> None:
     assert again.peer_id == ada.peer_id
 
 
-def test_newcomers_take_the_places_of_those_who_are_away_and_have_no_identity() -> None:
-    hub, (ada, bob, cyd) = hub_with(
-        "Ada", "Bob", "Cyd", config=RelayConfig(room_capacity=3), resumable=True
-    )
-    lost = [bob.lose_connection(now=1.0), ada.lose_connection(now=2.0)]
-    cyd.listen(now=2.0)
-    assert Member(hub, "Dot", now=3.0).closed_code is None
-    assert cyd.listen(now=3.0)[0] == PeerLeft(peer_id=bob.peer_id, reason="lost")
-    assert Member(hub, "Eve", now=4.0).closed_code is None
-    assert cyd.listen(now=4.0)[0] == PeerLeft(peer_id=ada.peer_id, reason="lost")
-    assert Member(hub, "Fay", now=5.0).closed_code == CloseCode.ROOM_FULL
-    for former in lost:
-        assert Member(hub, "Ada", now=6.0, former=former).closed_code == CloseCode.ROOM_FULL
-    hub.handle_timer(now=30.0)
-
-
 def test_a_newcomer_learns_who_is_away() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     ada.lose_connection(now=1.0)
