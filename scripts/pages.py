@@ -153,12 +153,14 @@ def command_line_page() -> str:
 
 
 def _options(name: str) -> Iterator[str]:
-    """Yield a line for each option: its name, its default and the first sentence of its help."""
+    """Yield a line for each option that is in no group: its name, its default and the first
+    sentence of its help."""
     arguments = CommandLine(name, COMMANDS[name], None).app.assemble_argument_collection(
         parse_docstring=True
     )
     for argument in arguments:
-        if argument.show and argument.name.removeprefix("--") not in COMMON:
+        name = argument.name.removeprefix("--")
+        if argument.show and name not in COMMON and not set(".*") & set(name):
             text = " ".join((argument.parameter.help or "").split())
             first = re.split(r"(?<=[^.])\. |; |: |\.$", text)[0]
             line = f"- `{argument.name}{_default(argument)}` {first}"
