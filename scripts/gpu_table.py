@@ -49,7 +49,7 @@ from pica_core.types import FloatArray
 CASES = (((1920, 1080), 1, (1, 5, 20)), ((3664, 1920), 2, (5, 20)))
 """Size of the image, eyes that share it, heads."""
 QUICK = (((160, 90), 1, (1, 2)), ((240, 120), 2, (2,)))
-WHOLE = Choice(MAP_SIZE, "both", MAP_SIZE, 1.0, 1)
+WHOLE = Choice(MAP_SIZE, "both", 1.0, 1)
 EYE_DISTANCE_M = 0.064
 FRONT = np.array([0, 0, 1], np.float32)
 ROUNDS, NUM_FACES, LEAST_IMAGES = 2, 8, 12
