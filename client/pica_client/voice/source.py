@@ -2,12 +2,11 @@
 
 import asyncio
 import math
-import struct
 from collections.abc import AsyncIterator
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Final
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.publisher import VoiceSource
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import NO_DEVICE, NO_LIBRARY, SoundSettings
-from pica_core.types import FloatArray
+from pica_core.types import Array, FloatArray
 
 TURN_S: Final = 4.0
 """How long each speaks where several take turns (chosen: a sentence or two)."""
@@ -28,12 +27,6 @@ _LATEST_S: Final = 0.2
 
 MAX_SECONDS = 600
 MIN_RATE_HZ, MAX_RATE_HZ = 8000, 96_000
-SAMPLES: Final = {(1, 16): "<i2", (1, 24): "<i4", (1, 32): "<i4", (3, 32): "<f4"}
-"""What is read, by format (1: whole numbers, 3: floats) and bits; 24 bits become the upper ones."""
-EXTENSIBLE: Final = 0xFFFE
-"""Format whose true one stands behind it."""
-UNKNOWN_BYTES: Final = (0, 0xFFFF_FFFF)
-"""Lengths of sound that stand in a header which was written before it."""
 
 
 class SoundSource:
@@ -115,55 +108,30 @@ def read_wav(path: Path) -> FloatArray:
     written, ends where its bytes end.
 
     Raises:
-        SourceError: It is no WAV file of such samples, or longer than `MAX_SECONDS`.
+        ModuleNotFoundError: It needs the extra ``video``.
+        SourceError: It is no WAV file, or longer than `MAX_SECONDS`.
     """
+    import av  # needed by files alone
+
+    parts: list[Array] = []
     try:
-        with path.open("rb") as file:
-            layout, num_bytes = _find_sound(file)
-            tag, channels, rate_hz, _, _, bits = struct.unpack_from("<HHIIHH", layout)
-            if tag == EXTENSIBLE:
-                (tag,) = struct.unpack_from("<H", layout, 24)
-            if (tag, bits) not in SAMPLES:
-                raise SourceError(f"{path}: {bits} bits of format {tag}; 16-bit PCM is needed")
+        with av.open(str(path), format="wav") as container:
+            rate_hz = container.streams.audio[0].rate
             if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
                 allowed = f"{MIN_RATE_HZ} to {MAX_RATE_HZ} are allowed"
                 raise SourceError(f"{path}: {rate_hz} Hz; {allowed}")
-            block = channels * bits // 8
-            longest = (MAX_SECONDS * rate_hz + 1) * block
-            data = file.read(longest if num_bytes in UNKNOWN_BYTES else min(num_bytes, longest))
-    except (OSError, ValueError, struct.error) as error:
+            convert, count = av.AudioResampler("fltp"), 0
+            for frame in container.decode(audio=0):
+                parts += [each.to_ndarray().mean(axis=0) for each in convert.resample(frame)]
+                count += frame.samples
+                if count > MAX_SECONDS * rate_hz:
+                    raise SourceError(f"{path}: at most {MAX_SECONDS} s of sound are played")
+    except (av.FFmpegError, OSError, IndexError) as error:
         raise SourceError(f"{path}: no WAV file of PCM sound: {error}") from error
-    count = len(data) // block if block else 0
-    if not 0 < count <= MAX_SECONDS * rate_hz:
-        seconds = count / rate_hz
-        raise SourceError(f"{path}: {seconds:.0f} s of sound; above 0 to {MAX_SECONDS} are played")
-    stored = np.frombuffer(data, np.uint8, count * block).reshape(-1, bits // 8)
-    if bits == 24:
-        stored = np.pad(stored, ((0, 0), (1, 0)))
-    samples = np.ascontiguousarray(stored).view(SAMPLES[tag, bits]).reshape(-1, channels)
-    full = np.iinfo(samples.dtype).max + 1 if tag == 1 else 1
-    sound = np.nan_to_num(samples.mean(axis=1, dtype=np.float64) / full).clip(-1, 1)
+    if not parts:
+        raise SourceError(f"{path}: no WAV file of PCM sound: it holds none")
+    sound = np.nan_to_num(np.concatenate(parts)).clip(-1, 1)
     return resampled(sound.astype(np.float32), rate_hz, RATE_HZ)
-
-
-def _find_sound(file: BinaryIO) -> tuple[bytes, int]:
-    """Read a file up to its sound; return what says how it is stored, and its bytes.
-
-    Raises:
-        ValueError: There is none.
-    """
-    kind, _, what = struct.unpack("<4sI4s", file.read(12))
-    if kind not in (b"RIFF", b"RF64") or what != b"WAVE":
-        raise ValueError("it begins otherwise")
-    chunks: dict[bytes, bytes] = {}
-    while len(start := file.read(8)) == 8:
-        name, num_bytes = struct.unpack("<4sI", start)
-        if name == b"data":
-            if b"ds64" in chunks:  # lengths above 4 GB stand there
-                (num_bytes,) = struct.unpack_from("<Q", chunks[b"ds64"], 8)
-            return chunks.get(b"fmt ", b""), num_bytes
-        chunks[name] = file.read(num_bytes + num_bytes % 2)
-    raise ValueError("it has no sound")
 
 
 def resampled(sound: FloatArray, rate_hz: int, to_hz: int) -> FloatArray:
