@@ -8,23 +8,18 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Callable, Coroutine, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, Final, Self
 
-import numpy as np
-
-from pica_client.call.call import Call, Ears
+from pica_client.call.call import Call
 from pica_client.call.connection_quality import Quality, QualityMeter, own_quality
 from pica_client.call.roster import SELF_ID, Member
 from pica_client.call.status import CallStatus
 from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish import Outgoing, Publisher
-from pica_client.stats import summarise_ms
 from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES, voice_of
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
-from pica_client.voice.opus import available
-from pica_client.voice.sound.process import SoundProcess
 from pica_protocol.frames import Frame
 from pica_protocol.invite import Invite, make_link
 from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Subscribe, Track
@@ -82,8 +77,7 @@ class Endpoint:
         except ExceptionGroup as errors:
             raise errors.exceptions[0] from None
         finally:
-            if self.own.face is not None:
-                self.own.face.close()
+            self.own.close()
             if self.own.giver is not None:
                 await self.own.giver.close()
 
@@ -320,52 +314,3 @@ class Receiver(Endpoint):
             due_s = loop.time() + CHECK_INTERVAL_S
             await asyncio.sleep(CHECK_INTERVAL_S)
             self.late_s += max(loop.time() - due_s, 0.0)
-
-
-WIDTH_RAD = 0.7
-"""How far to a side the outermost is heard (chosen: five people are told apart)."""
-
-
-class Hearing(Ears):
-    """All voices at one receiver: network -> mixer -> loudspeaker.
-
-    Faces are led by what leaves the loudspeaker. Give it to the call as its ears.
-    """
-
-    def __init__(self, sound: SoundProcess) -> None:
-        self._sound = sound
-        self._seated: list[str] = []
-
-    def heard_us(self, peer_id: str, now: float) -> int | None:
-        """The moment of a peer's voice, on its clock, that leaves the loudspeaker now."""
-        return self._sound.heard_us(peer_id, now)
-
-    def seat(self, members: Sequence[Member]) -> None:
-        """Give each member with a face or a voice a place, in the order of coming; forget
-        others."""
-        seated = [each.peer.peer_id for each in members if each.has_voice or not each.is_watching]
-        if seated != self._seated:
-            self._seated = seated
-            places = np.linspace(-1, 1, len(seated)) if len(seated) > 1 else np.zeros(len(seated))
-            self._sound.seat(dict(zip(seated, (WIDTH_RAD * places).tolist(), strict=True)))
-
-    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
-        """Take a packet of a voice."""
-        self._sound.receive(peer_id, packet, arrived_s)
-
-    def stats(self, call: Call) -> dict[str, Any]:
-        """How sound and the faces of a call went since the call's statistics began.
-
-        ``mouth_to_ear_ms`` means something only where sender and receiver share a clock.
-        """
-        state = self._sound.state
-        voices = {peer_id: voice.report for peer_id, voice in state.voices.items()}
-        ratios = [voice.concealed_ratio for voice in voices.values()]
-        return {
-            "skew_ms": summarise_ms(call.skews_s),
-            "mouth_to_ear_ms": summarise_ms(call.delays_s),
-            "concealed_ratio": round(sum(ratios) / len(ratios), 4) if ratios else None,
-            "loudspeaker": state.speaker.name,
-            "trouble": state.speaker.note or available() or "",
-            "voices": {peer_id: asdict(voice) for peer_id, voice in voices.items()},
-        }

@@ -241,6 +241,11 @@ class Outgoing:
     giver: AvatarGiver | None = None
     """Gives the avatar's file to each relay that we join."""
 
+    def close(self) -> None:
+        """Let go of the tracker."""
+        if self.face is not None:
+            self.face.close()
+
 
 DEFAULT_SOURCE: Final = "performance:talk"
 """Default source."""

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.participant import Participant, Tell
-from pica_client.call.roster import SECRET_NEEDED, SELF_ID, Member, Roster, name_warnings
+from pica_client.call.roster import SECRET_NEEDED, SELF_ID, Roster, name_warnings
 from pica_client.call.status import CallStatus, FaceState, FaceStatus
 from pica_client.e2ee.secret import SealState
 from pica_client.stats import MAX_SAMPLES
@@ -45,14 +45,14 @@ class ArrivedFace(NamedTuple):
     arrived_s: float
 
 
-class Ears:
-    """Where the voices of a call go; to be derived from. Called on the network's thread."""
+class Ears(Protocol):
+    """Where the voices of a call go. Called on the network's thread."""
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of a voice, see `voice.opus`; they come in the order of arrival."""
 
-    def seat(self, members: Sequence[Member]) -> None:
-        """Take the other members of the room."""
+    def seat(self, peer_ids: Sequence[str]) -> None:
+        """Take the other members with a face or a voice, in the order of coming."""
 
     def heard_us(self, peer_id: str, now: float) -> int | None:
         """The moment of a peer's voice, on its clock, that leaves the loudspeaker now; None: there
@@ -138,7 +138,7 @@ class Call:
         voices = ((voice_of(member.peer), member.peer.peer_id) for member in members)
         self._voices = {track.stream: peer_id for track, peer_id in voices if track is not None}
         if self.ears is not None:
-            self.ears.seat(members)
+            self.ears.seat([m.peer_id for m in members if m.has_voice or not m.is_watching])
 
     def tell_subscriptions(self, tell: Tell, now: float) -> None:
         """Tell the relay how much is wanted, where that is due; some 50 times a second."""

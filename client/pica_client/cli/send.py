@@ -11,14 +11,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.endpoint import Sender
 from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
-from pica_client.transport.connect import LinkConfig
-from pica_client.ui.options import (
-    DEFAULT_ROOM,
-    DEFAULT_URL,
-    JoinOptions,
-    check_voice,
-    connect_timeout_s,
-)
+from pica_client.ui.options import JoinOptions, check_voice
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice
 
@@ -53,17 +46,8 @@ def send(options: SendOptions) -> dict[str, Any]:
     returns.
     """
     check_voice(options.source, options.voice)
-    link = LinkConfig(
-        url=options.join.url or DEFAULT_URL,
-        room=options.join.room or DEFAULT_ROOM,
-        name=options.join.name or "guest",
-        connect_timeout_s=connect_timeout_s(wait=options.join.wait, seconds=options.sender.seconds),
-        secret_file=options.join.secret_file,
-        token_file=options.join.token_file,
-        redirect_hosts=options.join.redirect_hosts,
-    )
+    link = options.join.link(seconds=options.sender.seconds)
     voice = open_voice(options.voice, cleans=options.clean)
-    is_sealed = link.secret_file is not None
     with closing(AvatarLibrary()) as library:
         own = open_face(
             options.source,
@@ -75,6 +59,7 @@ def send(options: SendOptions) -> dict[str, Any]:
             config=options.sender,
         )
     if voice is not None:
+        is_sealed = link.secret_file is not None
         own = replace(own, voice=VoicePublisher(voice, is_sealed=is_sealed))
 
     async def run() -> dict[str, Any]:

@@ -47,6 +47,8 @@ from pica_protocol.limits import (
 )
 from pica_protocol.session import Closed
 
+DEFAULT_URL: Final = "ws://127.0.0.1:8765"
+DEFAULT_ROOM: Final = "lobby"
 _JOINERS: Final = dict.fromkeys((0x200C, 0x200D))
 """Keyboards of some scripts write them, and relays refuse what is invisible."""
 
@@ -55,12 +57,12 @@ _JOINERS: Final = dict.fromkeys((0x200C, 0x200D))
 class LinkConfig:
     """Where to connect, and under which name."""
 
-    url: str = "ws://127.0.0.1:8765"
+    url: str = DEFAULT_URL
     """Address of the relay, ws:// or wss://."""
     redirect_hosts: tuple[str, ...] = ()
     """Other hosts that a relay may redirect us to, with our token. The host of the address needs
     none, nor do, over wss://, other names of its domain."""
-    room: str = "lobby"
+    room: str = DEFAULT_ROOM
     """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
     name: str = "guest"
     """Name shown to the others, up to 64 bytes, in Unicode's form NFKC and without joiners."""

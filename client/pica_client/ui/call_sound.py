@@ -2,9 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
+from dataclasses import asdict
 from functools import partial
+from typing import Any
 
+from pica_client.call.call import Call
 from pica_client.call.roster import Member
+from pica_client.stats import summarise_ms
 from pica_client.ui.state import Sent, ViewState
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
@@ -76,13 +80,33 @@ class CallSound:
         if self._sound is not None:
             self._sound.play_test()
 
+    def report(self, call: Call) -> dict[str, Any] | None:
+        """How sound and the faces of a call went since the call's statistics began; None where the
+        others are not heard.
+
+        ``mouth_to_ear_ms`` means something only where sender and receiver share a clock.
+        """
+        if self._sound is None or call.ears is None:
+            return None
+        state = self._sound.state
+        voices = {peer_id: voice.report for peer_id, voice in state.voices.items()}
+        ratios = [voice.concealed_ratio for voice in voices.values()]
+        return {
+            "skew_ms": summarise_ms(call.skews_s),
+            "mouth_to_ear_ms": summarise_ms(call.delays_s),
+            "concealed_ratio": round(sum(ratios) / len(ratios), 4) if ratios else None,
+            "loudspeaker": state.speaker.name,
+            "trouble": state.speaker.note,
+            "voices": {peer_id: asdict(voice) for peer_id, voice in voices.items()},
+        }
+
     def begin_track(self) -> Soundtrack | None:
         """Begin to keep all that is heard, and what is sent of the own voice, for one recording;
         None where there is neither."""
         if self._sound is None and self._own is None:
             return None
         stack = ExitStack()
-        track = Soundtrack(lambda track: stack.close())
+        track = Soundtrack(stack.close)
 
         def keep_own(sound: FloatArray, captured_us: int) -> None:
             track.add("own", sound, captured_us / 1e6)

@@ -5,7 +5,7 @@ It imports little, so that the help comes at once.
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -13,6 +13,7 @@ from pica_client.avatars.upload import GiveAvatar
 from pica_client.decode.request import DecodeChoice
 from pica_client.errors import OptionError, check_ranges
 from pica_client.render.seats import Layout
+from pica_client.transport.connect import LinkConfig
 from pica_protocol.limits import MAX_PEERS
 
 BUDGET_SHARE = 0.6
@@ -22,16 +23,6 @@ young)."""
 SOFTWARE_FPS = 30.0
 """Faces come as often; more would take the processor from those who send and hear."""
 DISPLAY_FPS = 60.0
-DEFAULT_URL = "ws://127.0.0.1:8765"
-DEFAULT_ROOM = "lobby"
-CONNECT_TIMEOUT_S = 3.0
-"""How long a command tries to reach a relay before it gives up, unless told to wait."""
-
-
-def connect_timeout_s(*, wait: bool, seconds: float) -> float | None:
-    """How long to try to reach a relay: until the time that the command was given is over, if it is
-    to wait; None is for ever."""
-    return (seconds or None) if wait else CONNECT_TIMEOUT_S
 
 
 def check_voice(source: str, voice: str | None) -> None:
@@ -79,6 +70,20 @@ class JoinOptions:
     """File with the join token that the relay of --url wants, see pica token."""
     secret_file: Path | None = None
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
+
+    def link(self, *, seconds: float, **chosen: Any) -> LinkConfig:
+        """The connection that is asked for.
+
+        Args:
+            seconds: How long the command runs, 0 is for ever; as long as that it waits for a relay,
+                if it is to wait.
+            chosen: Fields of `LinkConfig` that go before these options.
+        """
+        names = ("url", "redirect_hosts", "room", "name", "token_file", "secret_file")
+        given: dict[str, Any] = {each: found for each in names if (found := getattr(self, each))}
+        if self.wait:
+            given["connect_timeout_s"] = seconds or None
+        return LinkConfig(**(given | chosen))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -17,20 +17,14 @@ from typing import Any
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.endpoint import Hearing, Receiver
+from pica_client.endpoint import Receiver
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.publish import DEFAULT_SOURCE, FaceControls, Outgoing, open_face
 from pica_client.system import check_writable, on_stop_signal, say
-from pica_client.transport.connect import LinkConfig
+from pica_client.transport.connect import DEFAULT_URL, LinkConfig
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
-from pica_client.ui.options import (
-    DEFAULT_URL,
-    ViewOptions,
-    check_voice,
-    connect_timeout_s,
-    parse_size,
-)
+from pica_client.ui.options import ViewOptions, check_voice, parse_size
 from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
@@ -103,26 +97,16 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
     """
     url, token = state.url.strip(), state.token.strip()
     takes_file = not token and url == (options.join.url or DEFAULT_URL)
-    return LinkConfig(
+    secret_file = state.secret_file.strip()
+    return options.join.link(
+        seconds=options.seconds,
         url=url,
         room=state.room.strip(),
         name=state.name.strip(),
-        connect_timeout_s=connect_timeout_s(wait=options.join.wait, seconds=options.seconds),
-        secret_file=_path(state.secret_file),
+        secret_file=Path(secret_file).expanduser() if secret_file else None,
         token=token,
         token_file=options.join.token_file if takes_file else None,
-        redirect_hosts=options.join.redirect_hosts,
     )
-
-
-def open_own(
-    options: ViewOptions, state: ViewState, link: LinkConfig, library: AvatarLibrary
-) -> Outgoing:
-    """Make the face ready that is asked for; raises as `open_face` does."""
-    if not state.source:
-        return Outgoing()
-    avatar = state.avatar.strip() or None
-    return open_face(state.source, link, library, say, avatar=avatar, give=options.join.give_avatar)
 
 
 def view_calls(
@@ -143,7 +127,7 @@ def view_calls(
     Raises:
         OptionError: A file that is to be written cannot be.
         GraphicsError: There is no way to draw.
-        ClientError: Without a form, what else `stay` or `open_own` raises.
+        ClientError: Without a form, what else `stay` or `open_face` raises.
     """
     check_writable(options.png)
     check_writable(options.record)
@@ -195,22 +179,28 @@ def stay(
     state.enter()
     is_stopping = threading.Event()
     with on_stop_signal(is_stopping.set), ExitStack() as stack:
-        own = open_own(options, state, link, library)
-        if own.face is not None:
-            stack.callback(own.face.close)
+        own = Outgoing()
+        if state.source:
+            own = open_face(
+                state.source,
+                link,
+                library,
+                say,
+                avatar=state.avatar.strip() or None,
+                give=options.join.give_avatar,
+            )
+            stack.callback(own.close)
         fetcher = AvatarFetcher(library, lambda: receiver.link.url)
         stack.callback(fetcher.close)
         voice = sound if state.voice == "mic" else open_voice(state.voice)
         own_voice = None
         if voice is not None:
             own_voice = VoicePublisher(voice, is_sealed=link.secret_file is not None)
-        hearing = None
-        if (lacking := available()) is None:
-            hearing = Hearing(sound)
-            stack.callback(hearing.seat, ())
-        else:
+        if lacking := available():
             say(f"a call without sound: {lacking}")
-        call = Call(fetcher, ears=hearing)
+        else:
+            stack.callback(sound.seat, ())
+        call = Call(fetcher, ears=None if lacking else sound)
         receiver = Receiver(
             link,
             call,
@@ -239,12 +229,12 @@ def stay(
                 time.sleep(POLL_S)
         elif not lobby.wait(is_ready):
             return None
-        plays = sound if hearing is not None or voice is sound else None
+        plays = CallSound(own_voice, None if lacking and voice is not sound else sound)
         window = None if lobby is None else lobby.window
-        result = _show(options, state, receiver, CallSound(own_voice, plays), window, is_stopped)
+        result = _show(options, state, receiver, plays, window, is_stopped)
         return {
             **result,
-            "voice": None if hearing is None else hearing.stats(call),
+            "voice": plays.report(call),
             "avatars_fetched": fetcher.num_fetched,
         }
 
@@ -300,7 +290,3 @@ def _show(
         "problems": [*problems, *failures],
         "received": received,
     }
-
-
-def _path(text: str) -> Path | None:
-    return Path(text.strip()).expanduser() if text.strip() else None

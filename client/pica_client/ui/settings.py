@@ -78,9 +78,7 @@ def _sound(state: ViewState, sound: SoundState) -> list[Request]:
     devices = _devices(sound.speakers, settings.speaker)
     settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
     _meter(sound.speaker_level, sound.speaker)
-    settings = replace(settings, volume=volume_slider("##volume", settings.volume))
-    _, is_stereo = imgui.checkbox("Voices come from their seats", settings.is_stereo)
-    state.sound = replace(settings, is_stereo=is_stereo)
+    state.sound = replace(settings, volume=volume_slider("##volume", settings.volume))
     is_tried = action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound")
     return [Action.TEST_SOUND] if is_tried else []
 

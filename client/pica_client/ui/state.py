@@ -15,7 +15,7 @@ from pica_client.publish import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import ViewState as Orbit
 from pica_client.system import FOLDERS, make_private, say
-from pica_client.ui.options import DEFAULT_ROOM, DEFAULT_URL
+from pica_client.transport.connect import DEFAULT_ROOM, DEFAULT_URL
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 

@@ -65,14 +65,12 @@ class VoiceMixer:
     Attributes:
         volume: Of all voices; 1 is as they come.
         level: Of the last mix, see `level_of`.
-        is_spatial: Whether each voice comes from its seat, rather than all from the middle.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
             recording. float32 ``[FRAME_SAMPLES, 2]``.
     """
 
     def __init__(self, make_decoder: Callable[[], OpusDecoder] = OpusDecoder) -> None:
         self.volume, self.level = 1.0, MAX_LEVEL
-        self.is_spatial = True
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
         self._make_decoder = make_decoder
         self._lock = threading.Lock()
@@ -112,7 +110,7 @@ class VoiceMixer:
         mixed = np.zeros((FRAME_SAMPLES, 2))
         with self._lock:
             for peer_id, voice in self._voices.items():
-                azimuth_rad = self._azimuths.get(peer_id, 0.0) if self.is_spatial else 0.0
+                azimuth_rad = self._azimuths.get(peer_id, 0.0)
                 volume = self._volumes.get(peer_id, 1.0)
                 mixed += volume * voice.pull(now, latency_s, azimuth_rad)
         limited = limit(self.volume * mixed).astype(np.float32)

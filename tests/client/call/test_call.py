@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from helpers.stream_toy import (
 )
 from helpers.toy import make_toy_avatar, toy_payload, without_stream
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call
+from pica_client.call.call import Call, Ears
 from pica_client.errors import OptionError
 from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.avatar.file import Avatar, save_avatar
@@ -26,6 +27,7 @@ from pica_protocol.messages import (
     Joined,
     Peer,
     PeerJoined,
+    PeerLeft,
     PeerUpdated,
     Track,
 )
@@ -48,6 +50,33 @@ def frame(stream: int, sequence: int, captured_us: int, value: float = 1.0) -> F
 
 def joined(*peers: Peer) -> Joined:
     return Joined(room="r", peer_id="me", peers=peers)
+
+
+class Places(Ears):
+    """Notes whose voices have a place, and whose packets come."""
+
+    def __init__(self) -> None:
+        self.seated: list[list[str]] = []
+        self.heard: list[str] = []
+
+    def seat(self, peer_ids: Sequence[str]) -> None:
+        self.seated.append(list(peer_ids))
+
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
+        self.heard.append(peer_id)
+
+
+def test_each_with_a_face_or_a_voice_has_a_place_until_they_leave() -> None:
+    ears = Places()
+    call = Call(LoadedAvatars({TOY_ID: TOY}), ears=ears)
+    watcher = Peer(peer_id="eve", name="Eve")
+    call.receive_event(joined(peer("ada", "Ada", 1), watcher), now=0.0)
+    call.receive_event(PeerJoined(peer=peer("ben", "Ben", 2, kind="voice")), now=1.0)
+    call.receive_event(frame(2, 0, 0), now=1.0)
+    for peer_id in ("ada", "eve", "ben"):
+        call.receive_event(PeerLeft(peer_id=peer_id), now=2.0)
+    assert ears.seated == [["ada"], ["ada", "ben"], ["ben"], ["ben"], []]
+    assert ears.heard == ["ben"]
 
 
 @pytest.fixture

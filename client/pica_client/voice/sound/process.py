@@ -8,8 +8,10 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Final
+
+import numpy as np
 
 from pica_client.voice.jitter_buffer import HeardVoice
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
@@ -21,12 +23,15 @@ RESTART_S: Final = 2.0
 """Until sound that ended by itself is begun again."""
 MAX_CAPTURED: Final = 10
 """Frames of a microphone that wait; the oldest is dropped beyond: 200 ms."""
+WIDTH_RAD: Final = 0.7
+"""How far to a side the outermost is heard (chosen: five people are told apart)."""
 
 
 class SoundProcess:
     """Sound in a process of its own, which begins with the first thing that it is told.
 
-    Methods may be called on any thread, and do not wait.
+    Methods may be called on any thread, and do not wait. It is the ears of a call (`call.Ears`):
+    faces are led by what leaves the loudspeaker.
 
     Attributes:
         state: How sound stood a moment ago.
@@ -48,7 +53,7 @@ class SoundProcess:
         self._begin_s = 0.0
         self._settings, self._users = settings or SoundSettings(), 0
         # What holds until it is set again, for a process that has to begin again.
-        self._lasting: dict[str, tuple[Any, ...]] = {}
+        self._lasting: dict[str, tuple[Any, ...]] = {"seat": ({},)}
         self.on_frame: Callable[[FloatArray, int], None] = lambda sound, captured_us: None
         self._heard: dict[str, HeardVoice] = defaultdict(HeardVoice)
 
@@ -64,11 +69,14 @@ class SoundProcess:
         self._users += 1 if is_used else -1
         self.follow(self._settings)
 
-    def seat(self, azimuths_rad: Mapping[str, float]) -> None:
-        """Set the peers that are there and where each voice comes from; forget others."""
-        for gone in self._heard.keys() - azimuths_rad.keys():
+    def seat(self, peer_ids: Sequence[str]) -> None:
+        """Give each peer that is there the place that its voice comes from; forget others."""
+        for gone in self._heard.keys() - set(peer_ids):
             self._heard.pop(gone, None)
-        self._last("seat", dict(azimuths_rad))
+        places = np.linspace(-1, 1, len(peer_ids)) if len(peer_ids) > 1 else np.zeros(1)
+        azimuths_rad = dict(zip(peer_ids, (WIDTH_RAD * places).tolist(), strict=False))
+        if self._lasting.get("seat") != (azimuths_rad,):
+            self._last("seat", azimuths_rad)
 
     def set_volumes(self, volumes: Mapping[str, float]) -> None:
         """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""

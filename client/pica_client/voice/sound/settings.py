@@ -24,8 +24,6 @@ class SoundSettings:
     """The loudspeaker by its name; empty is the system's, ``none`` plays without a sound."""
     volume: float = 1.0
     """How loud all voices are, 0 to `MAX_VOLUME`; 1 is as sent."""
-    is_stereo: bool = True
-    """Whether each voice comes from its seat."""
     cleans: bool = True
     """Whether echo and noise are taken out of the microphone, and its loudness is evened out, where
     the extra ``echo`` is installed."""

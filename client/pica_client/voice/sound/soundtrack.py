@@ -19,12 +19,12 @@ MAX_SECONDS = 30.0
 class Soundtrack:
     """Takes sound on any thread, and gives it to a recording.
 
-    Args:
-        on_close: Called once nothing more is wanted.
+    Attributes:
+        close: To be called once nothing more is wanted.
     """
 
-    def __init__(self, on_close: Callable[["Soundtrack"], None] = lambda track: None) -> None:
-        self._on_close = on_close
+    def __init__(self, on_close: Callable[[], None] = lambda: None) -> None:
+        self.close = on_close
         self._lock = threading.Lock()
         self._begin_s: float | None = None
         self._sum = np.zeros((0, 2), np.float32)  # from sample number _at on
@@ -68,7 +68,3 @@ class Soundtrack:
             first, self._sum = self._at, self._sum[count:]
             self._at += count
         return taken, first
-
-    def close(self) -> None:
-        """Note that nothing more is wanted."""
-        self._on_close(self)

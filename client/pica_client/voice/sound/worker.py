@@ -138,7 +138,7 @@ class SoundWorker:
 
     def follow(self, settings: SoundSettings, has_microphone: bool) -> None:
         """Do what the user has set; the microphone is opened only if one is wanted."""
-        self._mixer.volume, self._mixer.is_spatial = settings.volume, settings.is_stereo
+        self._mixer.volume = settings.volume
         self._loudspeaker.choose(settings.speaker)
         self._loudspeaker.start()
         if has_microphone and self._microphone is None:

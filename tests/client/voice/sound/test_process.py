@@ -148,7 +148,7 @@ def test_what_is_said_is_heard_seen_on_meters_and_followed_by_faces(sound: Sound
     sound.follow(SoundSettings(cleans=False))
     sound.use_microphone(True)  # it hears the loudspeaker
     assert until(lambda: sound.state.microphone.name == "Monitor of Speaker")
-    sound.seat({"ann": 0.0})
+    sound.seat(["ann"])
     assert max(say(sound, 2.0)) < 40
     moment = sound.state.voices["ann"].moment
     assert moment is not None

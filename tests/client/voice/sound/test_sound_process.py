@@ -6,13 +6,14 @@ import pickle
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pica_client.voice.opus import FRAME_SAMPLES
-from pica_client.voice.sound.process import SoundProcess
+from pica_client.voice.sound.process import WIDTH_RAD, SoundProcess
 from pica_client.voice.sound.settings import DeviceState, SoundState
 from pica_client.voice.source import open_voice
 from pica_command.main import main
@@ -66,6 +67,24 @@ def test_sound_that_begins_again_leaves_no_thread_of_the_process_before(
         if thread.name == "sound":
             thread.join(timeout=30)
     assert "sound-outbox" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_voices_come_from_places_in_the_order_of_coming(
+    stand_in: Callable[[str], Path], tmp_path: Path
+) -> None:
+    stand_in(f"cat > {tmp_path / 'told'}")
+    sound = SoundProcess()
+    for peer_ids in ([], ["ada", "ben"], ["ada", "ben"], ["ada", "ben", "cho"], ["cho"]):
+        sound.seat(peer_ids)
+    sound.close()
+    seats = []
+    with (tmp_path / "told").open("rb") as told, suppress(EOFError):
+        while True:
+            name, (said, *_) = pickle.load(told)
+            seats += [said] if name == "seat" else []
+    left, right = -WIDTH_RAD, WIDTH_RAD
+    two, three = {"ada": left, "ben": right}, {"ada": left, "ben": 0.0, "cho": right}
+    assert seats == [two, two, three, {"cho": 0.0}]  # at first as what lasts, too
 
 
 def test_a_sender_hears_its_microphone_and_is_told_what_is_wrong_with_it(
