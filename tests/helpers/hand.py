@@ -1,7 +1,7 @@
 """A hand that clicks and types on panels, without a window or a GPU.
 
     with open_hand() as hand:
-        orders = hand.click("Leave", lambda: control_bar(view, call))
+        hand.click("Leave", lambda: control_bar(state, call))
 
 Where a button is is noted when it is drawn, by its label or by what its tooltip says. What the user
 does is a function of ImGui's input, as `press(Key.l)` makes one.
@@ -17,7 +17,7 @@ from imgui_bundle import imgui
 from pica_client.ui.window import Surface
 
 Event = Callable[[imgui.IO], None]
-Show = Callable[[], list[Any]]
+Show = Callable[[], object]
 Rect = tuple[float, float, float, float]
 NOTED = (
     "button",
@@ -100,8 +100,8 @@ class Hand:
         self._size, self._scale = size, scale
         self._now = 0.0
 
-    def frame(self, show: Show, *events: Event) -> list[Any]:
-        """One frame after some events; gives what the panel orders."""
+    def frame(self, show: Show, *events: Event) -> Any:
+        """One frame after some events; gives what the panel does."""
         self._now += 0.05
         self.places.clear()
         for event in events:
@@ -115,24 +115,24 @@ class Hand:
         assert found, f"{label!r} is not among {sorted(self.places)}"
         return found[0]
 
-    def click(self, label: str, show: Show) -> list[Any]:
-        """Click in the middle of a widget; gives all that is ordered meanwhile."""
+    def click(self, label: str, show: Show) -> None:
+        """Click in the middle of a widget."""
         for _ in range(3):  # a card knows its size after one frame, and its place after two
             self.frame(show)
         left, top, right, bottom = self.where(label)
         place = ((left + right) / 2, (top + bottom) / 2)
-        steps = (point(*place), hold(), hold(is_down=False))
-        orders = [order for step in steps for order in self.frame(show, step)]
-        return orders + self.frame(show)
+        for events in ((point(*place),), (hold(),), (hold(is_down=False),), ()):
+            self.frame(show, *events)
 
-    def type(self, text: str, show: Show) -> list[Any]:
+    def type(self, text: str, show: Show) -> None:
         """Type a text into what is in use."""
-        return self.frame(show, write(text)) + self.frame(show)
+        self.frame(show, write(text))
+        self.frame(show)
 
-    def press(self, key: imgui.Key, show: Show) -> list[Any]:
+    def press(self, key: imgui.Key, show: Show) -> None:
         """Press a key and let it go."""
-        orders = self.frame(show, press(key))
-        return orders + self.frame(show, press(key, is_down=False)) + self.frame(show)
+        for events in ((press(key),), (press(key, is_down=False),), ()):
+            self.frame(show, *events)
 
 
 @contextmanager

@@ -1,9 +1,12 @@
 """What keys, buttons and the mouse do: one table, `ACTIONS`, that all of them and the help read.
 
-An action changes the state, or is a request to the owner of files and windows:
+Keys and panels note in the state what they ask for. An action changes the state, or is a request to
+the owner of files and windows:
 
-    for request in [*keyboard(state), *control_bar(state, call)]:
-        rest = apply(request, state)
+    keyboard(state)
+    control_bar(state, call)
+    for request in settle(state):
+        ...
 """
 
 from collections.abc import Callable
@@ -166,8 +169,14 @@ ACTIONS: Final[dict[Action, Row]] = {
 """All that keys and buttons do; actions that are not here have a button in one panel alone."""
 
 
-def apply(request: Request, state: ViewState) -> Request | None:
-    """Change the state as a request asks; return what is left for others to carry out."""
+def settle(state: ViewState) -> list[Request]:
+    """Change the state as was asked; return what is left for others to carry out."""
+    rest = [_apply(each, state) for each in state.requests]
+    state.requests.clear()
+    return [each for each in rest if each is not None]
+
+
+def _apply(request: Request, state: ViewState) -> Request | None:
     row = ACTIONS.get(request) if isinstance(request, Action) else None
     if row is None:
         return request
@@ -196,21 +205,19 @@ def help_lines(state: ViewState) -> tuple[tuple[str, str], ...]:
     )
 
 
-def keyboard(state: ViewState) -> list[Request]:
+def keyboard(state: ViewState) -> None:
     """Read the keys of this frame, unless a text is being typed."""
     io = imgui.get_io()
     is_typed = io.want_text_input
     state.is_talking = imgui.is_key_down(TALK_KEY) and not is_typed
     if io.key_ctrl or io.key_super:
-        return []  # the desktop's own
+        return  # the desktop's own
     if state.asks_to_leave and not is_typed and imgui.is_key_pressed(_KEY.enter, repeat=False):
         state.wants_close = True
-    return [
-        action
-        for action, row in ACTIONS.items()
-        for key in row.keys
-        if (key == _KEY.escape or not is_typed) and imgui.is_key_pressed(key, repeat=False)
-    ]
+    for action, row in ACTIONS.items():
+        for key in row.keys:
+            if (key == _KEY.escape or not is_typed) and imgui.is_key_pressed(key, repeat=False):
+                state.requests.append(action)
 
 
 def mouse(state: ViewState, pick: Callable[[float, float], int | None]) -> None:

@@ -16,7 +16,6 @@ from imgui_bundle import imgui
 from pica_client.call.status import CallStatus, notices
 from pica_client.render.scene import NEAR_M, Rect, common_px
 from pica_client.render.seats import FreeShares
-from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import (
     UNKNOWN,
@@ -114,8 +113,8 @@ class CallSurface:
         *,
         own: OwnFaceView,
         sound: SoundState | None = None,
-    ) -> list[Request]:
-        """Draw the panels in the frame that was begun; return what the user asked for."""
+    ) -> None:
+        """Draw the panels in the frame that was begun."""
         if now - self._asked_s >= STATUS_PERIOD_S:
             self._asked_s = now
             if self._ask_status is not None:
@@ -133,7 +132,8 @@ class CallSurface:
             figures=self._figures,
         )
         self.free = free_shares(state, view)
-        return [each for panel in PANELS for each in panel(state, view)]
+        for panel in PANELS:
+            panel(state, view)
 
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter

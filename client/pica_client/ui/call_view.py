@@ -1,10 +1,10 @@
 """All that the panels of a call may show, as one read-only value a frame. Pure.
 
 A panel is a function of the user's state and a `CallView`. It draws with
-stock ImGui and `widgets`, writes settings into the state, and returns what else the user
-asked for:
+stock ImGui and `widgets`, writes settings into the state, and notes there what else the user asks
+for:
 
-    def leave_question(state: ViewState, call: CallView) -> list[Request]:
+    def leave_question(state: ViewState, call: CallView) -> None:
         ...
 """
 
@@ -16,7 +16,6 @@ from pica_client.call.roster import Member
 from pica_client.call.status import AvatarFigures, CallStatus
 from pica_client.publish import TrackerPreview
 from pica_client.render.scene import Rect
-from pica_client.ui.actions import Request
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import Tone
 from pica_client.voice.sound.settings import SoundState
@@ -102,4 +101,4 @@ class CallView:
     """Figures of the whole call, name and value."""
 
 
-Panel = Callable[[ViewState, CallView], list[Request]]
+Panel = Callable[[ViewState, CallView], None]

@@ -12,7 +12,7 @@ from imgui_bundle import imgui
 from pica_client.call.status import duration_text, joined_names, recorders
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
-from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request, Row
+from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Row
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.side import side_share
 from pica_client.ui.state import ViewState
@@ -73,12 +73,11 @@ def free_shares(state: ViewState, call: CallView) -> FreeShares:
     )
 
 
-def names(state: ViewState, call: CallView) -> list[Request]:
+def names(state: ViewState, call: CallView) -> None:
     """Write the names of all participants on the picture."""
     for person in call.people:
         if person.label is not None:
             _name(person, person.label)
-    return []
 
 
 def least_name() -> tuple[float, float]:
@@ -193,7 +192,7 @@ def own_signs(state: ViewState, call: CallView) -> list[Line]:
     return found
 
 
-def signs(state: ViewState, call: CallView) -> list[Request]:
+def signs(state: ViewState, call: CallView) -> None:
     """Write on the picture how the call stands, above, and how the user is sent, below."""
     (columns, _), edge, step = screen(), px(EDGE_PT), px(SIGN_PT)
     for number, line in enumerate(call_signs(call)):
@@ -211,7 +210,6 @@ def signs(state: ViewState, call: CallView) -> list[Request]:
     for number, line in enumerate(own_signs(state, call)):
         place = (edge, _own_bottom() - number * step)
         _sign(f"own {number}", line, place, (0.0, 1.0), columns)
-    return []
 
 
 def _sign(name: str, line: Line, place: Place, pivot: Place, width: float) -> float:
@@ -242,12 +240,12 @@ def own_face_height(state: ViewState) -> int:
     return round(min(px(OWN_PT), OWN_SHARE * screen()[1])) if state.shows_self else 0
 
 
-def own_face(state: ViewState, call: CallView) -> list[Request]:
+def own_face(state: ViewState, call: CallView) -> None:
     """The user's own face at the lower left, mirrored, and beside it what a camera sees."""
     own, height = call.own, own_face_height(state)
     picture = None if own.seen is None else own.seen.picture
     if not height or (own.texture is None and picture is None):
-        return []
+        return
     place = (px(EDGE_PT), _own_bottom() - px(SIGN_PT))
     flags = SIGN_FLAGS | imgui.WindowFlags_.no_background
     imgui.push_style_var(imgui.StyleVar_.window_padding, (0, 0))
@@ -262,17 +260,15 @@ def own_face(state: ViewState, call: CallView) -> list[Request]:
             rows, columns = picture.shape[:2]
             imgui.image(imgui.ImTextureRef(own.camera), (columns / rows * height, height))
     imgui.pop_style_var(2)
-    return []
 
 
-def control_bar(state: ViewState, call: CallView) -> list[Request]:
+def control_bar(state: ViewState, call: CallView) -> None:
     """Draw the bar at the lower edge."""
     if not call.has_pointer or state.asks_to_leave:
-        return []
+        return
     groups = _groups(state)
     gap = px(GAP_PT)
     place = (screen()[0] / 2, screen()[1] - px(EDGE_PT))
-    requests: list[Request] = []
     imgui.push_style_var(imgui.StyleVar_.window_padding, (gap, gap))
     imgui.push_style_var(imgui.StyleVar_.window_rounding, px(BAR_PT) / 2)
     with card("bar", place, pivot=(0.5, 1.0)):
@@ -283,28 +279,25 @@ def control_bar(state: ViewState, call: CallView) -> list[Request]:
                 icon, tip, tone = row.look(state)
                 keys = row.key_names[0]
                 if icon_button(icon, tip, keys=keys, tone=tone):
-                    requests.append(action)
+                    state.requests.append(action)
     imgui.pop_style_var(2)
-    return requests
 
 
-def leave_question(state: ViewState, call: CallView) -> list[Request]:
+def leave_question(state: ViewState, call: CallView) -> None:
     """Ask once whether to leave, before the middle of the picture."""
     if not state.asks_to_leave:
-        return []
-    requests: list[Request] = []
+        return
     columns, rows = screen()
     imgui.get_background_draw_list().add_rect_filled((0, 0), (columns, rows), 0x73000000)
     with card("leave", (columns / 2, rows / 2), pivot=(0.5, 0.5)):
         title("Leave the call?")
         note("You can come back at any time.")
         if action_button("Stay", width=px(110)):
-            requests.append(Action.CLOSE)
+            state.requests.append(Action.CLOSE)
         imgui.same_line()
         if action_button("Leave", tone="alert", width=px(110)):
             state.wants_close = True
         note("Enter leaves, Esc stays")
-    return requests
 
 
 def bar_share() -> float:

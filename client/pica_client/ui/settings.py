@@ -7,7 +7,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from pica_client.sources.source import PERFORMANCES
-from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
+from pica_client.ui.actions import ACTIONS, TALK_KEY, Action
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
 from pica_client.ui.widgets import TONES, Tone, action_button, choice_of, note, px
@@ -30,21 +30,19 @@ SOURCES: tuple[tuple[str, str], ...] = (
 """Face sources to choose from, and what they are called."""
 
 
-def settings_tabs(state: ViewState, call: CallView) -> list[Request]:
+def settings_tabs(state: ViewState, call: CallView) -> None:
     """The user's identity and sound, and how the call is shown: a tab for each that there is."""
-    requests: list[Request] = []
     if imgui.begin_tab_bar("parts"):
         if state.own_face != "none" and imgui.begin_tab_item("You")[0]:
-            requests += _you(state, call)
+            _you(state, call)
             imgui.end_tab_item()
         if call.sound is not None and imgui.begin_tab_item("Sound")[0]:
-            requests += _sound(state, call.sound)
+            _sound(state, call.sound)
             imgui.end_tab_item()
         if imgui.begin_tab_item("View")[0]:
-            requests += _shown(state)
+            _shown(state)
             imgui.end_tab_item()
         imgui.end_tab_bar()
-    return requests
 
 
 def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool = False) -> None:
@@ -58,7 +56,7 @@ def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool =
         state.sound = replace(settings, microphone=device)
 
 
-def _sound(state: ViewState, sound: SoundState) -> list[Request]:
+def _sound(state: ViewState, sound: SoundState) -> None:
     """Devices with their meters, volume and switches."""
     settings = state.sound
     if state.own_voice != "none" and state.voice == MICROPHONE:
@@ -79,8 +77,8 @@ def _sound(state: ViewState, sound: SoundState) -> list[Request]:
     settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
     _meter(sound.speaker_level, sound.speaker)
     state.sound = replace(settings, volume=volume_slider("##volume", settings.volume))
-    is_tried = action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound")
-    return [Action.TEST_SOUND] if is_tried else []
+    if action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound"):
+        state.requests.append(Action.TEST_SOUND)
 
 
 def volume_slider(label: str, volume: float, *, width: float = -1.0) -> float:
@@ -111,7 +109,7 @@ def _meter(level: int, device: DeviceState) -> None:
         note(device.note, tone="warning")
 
 
-def _you(state: ViewState, call: CallView) -> list[Request]:
+def _you(state: ViewState, call: CallView) -> None:
     """The face's source."""
     note("Your face")
     before = call.own.source or state.source
@@ -120,19 +118,16 @@ def _you(state: ViewState, call: CallView) -> list[Request]:
         state.source = source
     calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
     if call.own.seen and action_button(calibrate):
-        return [Action.CALIBRATE]
-    return []
+        state.requests.append(Action.CALIBRATE)
 
 
-def _shown(state: ViewState) -> list[Request]:
+def _shown(state: ViewState) -> None:
     """How people sit, and how the surface looks."""
-    requests: list[Request] = []
     note("People sit")
     layout = choice_of("##layout", LAYOUT_TITLES.items(), state.layout)
     if layout != state.layout:
-        requests.append(state.seat(layout))
+        state.requests.append(state.seat(layout))
     note("Size of type and buttons")
     state.scale = choice_of("##scale", [(each, f"{each:.0%}") for each in SCALES], state.scale)
     if state.own_face != "none":
         _, state.shows_self = imgui.checkbox("My own face", state.shows_self)
-    return requests

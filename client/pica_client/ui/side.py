@@ -12,7 +12,7 @@ from imgui_bundle import imgui
 from pica_client.call.roster import Member
 from pica_client.call.status import duration_text
 from pica_client.ui import widgets
-from pica_client.ui.actions import Action, Request, help_lines
+from pica_client.ui.actions import Action, help_lines
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
@@ -44,11 +44,10 @@ Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
 
-def side_panel(state: ViewState, call: CallView) -> list[Request]:
+def side_panel(state: ViewState, call: CallView) -> None:
     """Draw the panel that is open: a title, a button that closes it, and room that scrolls."""
     if state.side == "none":
-        return []
-    requests: list[Request] = []
+        return
     edge, (columns, rows), name = px(EDGE_PT), screen(), state.side.title()
     width, height = px(_width_pt(state)), rows - edge * 3 - px(BAR_PT)
     with widgets.card(name, (columns - edge - width, edge), size=(width, 0)):
@@ -56,7 +55,7 @@ def side_panel(state: ViewState, call: CallView) -> list[Request]:
         imgui.same_line(imgui.get_window_width() - px(CLOSE_PT + PADDING_PT))
         close = icons.ICON_FA_XMARK
         if widgets.icon_button(close, "Close", keys="Esc", size_pt=CLOSE_PT):
-            requests.append(Action.CLOSE)
+            state.requests.append(Action.CLOSE)
         room = height - imgui.get_cursor_pos_y() - px(PADDING_PT)
         imgui.set_next_window_size_constraints((0, 0), (columns, max(room, px(60))))
         imgui.begin_child(f"{name} content", (0, 0), imgui.ChildFlags_.auto_resize_y)
@@ -64,13 +63,12 @@ def side_panel(state: ViewState, call: CallView) -> list[Request]:
             case "help":
                 _help(state)
             case "settings":
-                requests += settings_tabs(state, call)
+                settings_tabs(state, call)
             case "statistics":
                 _statistics(call)
             case "participants":
-                requests += _participants(state, call)
+                _participants(state, call)
         imgui.end_child()
-    return requests
 
 
 def side_share(state: ViewState) -> float:
@@ -136,11 +134,11 @@ def _figure(value: float | None, digits: int) -> str:
     return NO_FIGURE if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
-def waiting_page(state: ViewState, call: CallView) -> list[Request]:
+def waiting_page(state: ViewState, call: CallView) -> None:
     """Where the user is, who watches, and an invitation, until the first face comes."""
     status = call.status
     if call.people or not status.room or not status.is_connected or state.asks_to_leave:
-        return []
+        return
     (columns, rows), edge = screen(), px(EDGE_PT)
     width = min(px(WAITING_PT), columns - 2 * edge)
     imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
@@ -152,21 +150,20 @@ def waiting_page(state: ViewState, call: CallView) -> list[Request]:
         if watching > 0:
             who = "One person watches" if watching == 1 else f"{watching} people watch"
             widgets.note(f"{who} without showing a face.")
-        return _invitation(status.invitation, "accent")
+        _invitation(state, status.invitation, "accent")
 
 
-def _invitation(line: str, tone: Tone = "plain") -> list[Request]:
+def _invitation(state: ViewState, line: str, tone: Tone = "plain") -> None:
     """A link that leads others here, and a button that copies it."""
     widgets.note("To invite others, send them this link.")
     widgets.note(line, tone="accent")
     label = f"{icons.ICON_FA_COPY}  Copy the invitation"
-    is_wanted = widgets.action_button(label, tone=tone)
-    return [Action.COPY_INVITATION] if is_wanted else []
+    if widgets.action_button(label, tone=tone):
+        state.requests.append(Action.COPY_INVITATION)
 
 
-def _participants(state: ViewState, call: CallView) -> list[Request]:
+def _participants(state: ViewState, call: CallView) -> None:
     """All participants, the user first, then in order of coming."""
-    requests: list[Request] = []
     status = call.status
     many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
     widgets.note(many)
@@ -176,13 +173,13 @@ def _participants(state: ViewState, call: CallView) -> list[Request]:
         imgui.table_setup_column("person", imgui.TableColumnFlags_.width_stretch)
         imgui.table_setup_column("menu", fixed, px(MENU_PT) + 2)
         for person in status.participants:
-            requests += _row(person, state, call)
+            _row(person, state, call)
         imgui.end_table()
-    requests += _barred(state)
+    _barred(state)
     imgui.separator()
     _encryption(call)
     imgui.separator()
-    return requests + _invitation(status.invitation)
+    _invitation(state, status.invitation)
 
 
 def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
@@ -205,9 +202,8 @@ def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list
     return [(icon, tone, meaning) for is_shown, icon, tone, meaning in rows if is_shown]
 
 
-def _row(person: Member, state: ViewState, call: CallView) -> list[Request]:
+def _row(person: Member, state: ViewState, call: CallView) -> None:
     """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
-    requests: list[Request] = []
     volume = state.volumes.get(person.place, 1.0)
     signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
     gap = px(6)
@@ -239,18 +235,16 @@ def _row(person: Member, state: ViewState, call: CallView) -> list[Request]:
         more = f"More on {person.name}"
         if widgets.icon_button(icons.ICON_FA_ELLIPSIS_VERTICAL, more, size_pt=MENU_PT):
             imgui.open_popup(f"menu {person.peer_id}")
-        requests += _menu(person, state, call)
-    return requests
+        _menu(person, state, call)
 
 
-def _menu(person: Member, state: ViewState, call: CallView) -> list[Request]:
-    requests: list[Request] = []
+def _menu(person: Member, state: ViewState, call: CallView) -> None:
     if imgui.begin_popup(f"menu {person.peer_id}"):
         pin = "Unpin" if state.pinned == person.place else "Pin"
         if not person.is_watching and _item(icons.ICON_FA_THUMBTACK, pin):
             state.pin(person.place)
         if _item(icons.ICON_FA_ROTATE_LEFT, "Reset the view"):
-            requests.append(Action.RESET_VIEW)
+            state.requests.append(Action.RESET_VIEW)
         if person.has_voice:
             imgui.separator()
             before = state.volumes.get(person.place, 1.0)
@@ -259,18 +253,16 @@ def _menu(person: Member, state: ViewState, call: CallView) -> list[Request]:
                 state.volumes[person.place] = volume
         if call.status.is_admin:
             imgui.separator()
-            requests += _moderation(person, state)
+            _moderation(person, state)
         imgui.end_popup()
-    return requests
 
 
 def _item(icon: str, text: str) -> bool:
     return imgui.menu_item_simple(f"{icon}  {text}")
 
 
-def _moderation(person: Member, state: ViewState) -> list[Request]:
+def _moderation(person: Member, state: ViewState) -> None:
     """What an admin may do to a participant."""
-    requests: list[Request] = []
     kinds = (
         ("voice", person.has_voice, icons.ICON_FA_MICROPHONE, icons.ICON_FA_MICROPHONE_SLASH),
         ("face", not person.is_watching, icons.ICON_FA_FACE_SMILE, icons.ICON_FA_EYE_SLASH),
@@ -279,24 +271,23 @@ def _moderation(person: Member, state: ViewState) -> list[Request]:
         is_muted = kind in person.muted_kinds
         icon, text = (on, f"Unmute {kind}") if is_muted else (off, f"Mute {kind}")
         if is_sent and _item(icon, text):
-            requests.append(MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted))
+            state.requests.append(
+                MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted)
+            )
     if _item(icons.ICON_FA_USER_MINUS, "Remove"):
-        requests.append(RemovePeer(peer_id=person.peer_id))
+        state.requests.append(RemovePeer(peer_id=person.peer_id))
     if person.peer.identity and _item(icons.ICON_FA_BAN, "Bar until the room is empty"):
         state.barred[person.peer.identity] = person.name
-        requests.append(BarIdentity(identity=person.peer.identity, is_barred=True))
-    return requests
+        state.requests.append(BarIdentity(identity=person.peer.identity, is_barred=True))
 
 
-def _barred(state: ViewState) -> list[Request]:
+def _barred(state: ViewState) -> None:
     """Those whom this admin has barred, each with a button that lets them rejoin."""
-    requests: list[Request] = []
     for identity, name in tuple(state.barred.items()):
         widgets.note(f"{name} may not rejoin until the room is empty.")
         if widgets.action_button(f"{icons.ICON_FA_ROTATE_LEFT}  Let {name} rejoin"):
             del state.barred[identity]
-            requests.append(BarIdentity(identity=identity, is_barred=False))
-    return requests
+            state.requests.append(BarIdentity(identity=identity, is_barred=False))
 
 
 def _encryption(call: CallView) -> None:

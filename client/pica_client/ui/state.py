@@ -88,6 +88,8 @@ class ViewState(Preferences):
     is_talking: bool = False
     """Whether the key to talk is held."""
     is_recording: bool = False
+    requests: list[Any] = field(default_factory=list)
+    """What keys and panels ask for and was not done yet: `actions.Request`."""
 
     @property
     def is_heard(self) -> bool:

@@ -32,7 +32,7 @@ from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.system import FOLDERS, Closing, say
-from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
+from pica_client.ui.actions import Action, Request, keyboard, mouse, settle
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
@@ -198,18 +198,18 @@ class Viewer(Closing):
         """Draw one frame; return False once the user wants to leave."""
         state, panels = self.state, self._panels
         is_open = self._begin(now)
-        requests = keyboard(state)
+        keyboard(state)
         mouse(state, self.pick)
-        tasks = [apply(request, state) for request in requests]
+        tasks = settle(state)
         if state.wants_close or not is_open:
             self.surface.end()
             return False
         scene, plan = self._plan(now)
         self._scene = scene
         own, sound = self._draw_own(now), self._sound.state()
-        requests = panels.build(now, scene, self._presenter, state, own=own, sound=sound)
+        panels.build(now, scene, self._presenter, state, own=own, sound=sound)
         self.surface.end()
-        tasks += [apply(request, state) for request in requests]
+        tasks += settle(state)
         self._follow_face()
         if trouble := self._sound.follow(state, panels.status.participants, now):
             panels.notice(trouble, now)
@@ -217,8 +217,7 @@ class Viewer(Closing):
         self._presenter.collect(now)
         self._draw(self._presenter.dressed(scene), plan, now)
         for task in tasks:
-            if task is not None:
-                self._carry_out(task, now)
+            self._carry_out(task, now)
         self._num_frames += 1
         return True
 

@@ -13,10 +13,10 @@ from pica_client.render.views import ViewState as Orbit
 from pica_client.ui.actions import (
     ACTIONS,
     Request,
-    apply,
     help_lines,
     keyboard,
     mouse,
+    settle,
 )
 from pica_client.ui.state import LAYOUT_TITLES, ViewState
 from pica_client.ui.window import Surface
@@ -41,8 +41,8 @@ class Controls:
         self.now += after_s
         with frame(self.surface, self.now, (640, 360)):
             mouse(self.state, lambda x, y: self.place)
-            rest = [apply(each, self.state) for each in keyboard(self.state)]
-        self.requests += [each for each in rest if each is not None]
+            keyboard(self.state)
+        self.requests += settle(self.state)
 
     def press(self, *keys: imgui.Key) -> None:
         for key in keys:
