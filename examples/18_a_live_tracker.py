@@ -40,7 +40,7 @@ async def play_phone(port: int) -> None:
 
 async def main() -> None:
     file = shipped_avatar_files()[0]
-    source = open_live("livelink", "127.0.0.1:0")  # for a real phone: open_source("livelink:lan")
+    source = open_live("livelink", "0")  # for a real phone: open_source("livelink:lan")
     assert isinstance(source, UdpTracker)
     async with Relay(RelayConfig(port=0)) as relay:
         phone = asyncio.create_task(play_phone(source.port))

@@ -23,8 +23,8 @@ from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, tra
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.calibration import load_calibration
-from pica_client.sources.registry import decoder_of, open_live
-from pica_client.sources.tracker import UdpOptions, UdpTracker
+from pica_client.sources.registry import open_live
+from pica_client.sources.tracker import UdpTracker
 from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
@@ -49,8 +49,8 @@ PACKETS: dict[str, Packet] = {
 def listen(kind: str) -> UdpTracker:
     """A tracker of that kind at a free port; phones are not asked, they send at once."""
     if kind in ("livelink", "vmc"):
-        return open_live(kind, "127.0.0.1:0")
-    return UdpTracker(UdpOptions(kind, 0, host="127.0.0.1"), decoder_of(kind))
+        return open_live(kind, "0")
+    return UdpTracker(kind, 0)
 
 
 @contextmanager
@@ -97,7 +97,7 @@ async def test_trackers_of_every_kind_are_in_one_call() -> None:
             receiver.stop()
             await receiving
             assert all(sender.stats()["sent"] > 20 for sender in senders)
-    open_live("livelink", f"127.0.0.1:{port}").close()  # a sender that ends frees its port
+    open_live("livelink", f"{port}").close()  # a sender that ends frees its port
     assert min(faces[kind] for kind in PACKETS) > 20
     assert max(delays.values()) <= 0.08
 
@@ -112,10 +112,9 @@ def free_port() -> int:
 def test_track_reports_and_records_what_comes(tmp_path: Path) -> None:
     port, path = free_port(), tmp_path / "a.csv"
     with playing((port, PACKETS["livelink"])):
-        result = track(TrackOptions(source=f"livelink:127.0.0.1:{port}", seconds=1.5, record=path))
+        result = track(TrackOptions(source=f"livelink:{port}", seconds=1.5, record=path))
     assert 40 < result["frames"] < 95
     assert result["shapes"]["jawOpen"]["max"] > 0.7
-    assert result["subjects"] == {"iPhone": result["frames"]}
     assert any("the head never turns" in hint for hint in result["hints"])
     assert json.dumps(result)
     assert len(path.read_text().splitlines()) > 40
@@ -134,7 +133,7 @@ def test_calibrate_keeps_a_person_and_joining_under_that_name_uses_it(
 
     with playing((port, packet)):
         options = CalibrateOptions(
-            source=f"livelink:127.0.0.1:{port}", name="Ada", seconds=0.5, eyes_closed=0.5, gain=1.5
+            source=f"livelink:{port}", name="Ada", seconds=0.5, eyes_closed=0.5, gain=1.5
         )
         result = calibrate(options)
     assert result["neutral"] == {"mouthSmileLeft": 0.25}

@@ -27,8 +27,8 @@ from pica_client.e2ee.frames import decode_header, derive_key, open_, seal
 from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.errors import SealError
+from pica_client.sources.datagrams import REQUESTS, decoder_of
 from pica_client.sources.live_face import PacketError
-from pica_client.sources.registry import LIVE_KINDS, decoder_of
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.capture.rig.gltf import read_rig
@@ -117,9 +117,9 @@ def bitstream(data: bytes) -> None:
 
 def datagram(data: bytes) -> None:
     """Read a datagram as one of each tracker; what a face has is finite."""
-    for kind in LIVE_KINDS:
+    for kind in ("livelink", "vmc", *REQUESTS):
         with suppress(PacketError):
-            for sample in decoder_of(kind)()(data):
+            for sample in decoder_of(kind)(data):
                 known = sample.arkit[~np.isnan(sample.arkit)]
                 expect(bool(np.isfinite([*known, *sample.rotation]).all()), "an endless face")
 

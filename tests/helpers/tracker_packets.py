@@ -29,11 +29,10 @@ def live_link(
     *,
     frame: int = 0,
     sub_frame: float = 0.0,
-    subject: str = "iPhone",
 ) -> bytes:
     """A datagram of Live Link Face at 60 frames a second; None for the values: no face."""
     packet = struct.pack(">B", 6)
-    for text in ("5F0C6C0B-6F3C-4F52-9E43-3F3B2C9D4E11", subject):
+    for text in ("5F0C6C0B-6F3C-4F52-9E43-3F3B2C9D4E11", "iPhone"):
         packet += struct.pack(">i", len(text.encode())) + text.encode()
     packet += struct.pack(">ifii", frame, sub_frame, 60, 1)
     if values is None:

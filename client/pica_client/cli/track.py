@@ -47,8 +47,8 @@ class TrackOptions:
     """Options of `pica track`."""
 
     source: str = field(kw_only=False)
-    """livelink[:lan][:PORT][/SUBJECT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP,
-    facemotion3d:PHONE_IP or webcam[:DEVICE|FILE]; lan listens to other machines, too."""
+    """livelink[:lan][:PORT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or
+    webcam[:DEVICE|FILE]; lan listens to other machines, too."""
     seconds: float = 10.0
     """How long to listen; 0 is until Ctrl-C."""
     record: Path | None = None
@@ -112,16 +112,13 @@ class Recorder:
         except OSError as error:
             raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def report(
-        self, kind: str, trouble: str, refused: Counter[str], subjects: Counter[str]
-    ) -> dict[str, Any]:
+    def report(self, kind: str, trouble: str, refused: Counter[str]) -> dict[str, Any]:
         """What came, and what would mend it; times in milliseconds, angles in degrees.
 
         Args:
             kind: The kind of tracker.
             trouble: Why there is no face, as the source says.
             refused: Datagrams that were not the tracker's, by reason.
-            subjects: Samples by subject.
         """
         gaps_ms = 1000 * np.diff([arrived_s for arrived_s, _ in self.samples])
         seen = [sample for _, sample in self.samples if sample.has_face]
@@ -145,12 +142,11 @@ class Recorder:
                 if len(turns)
             },
             "refused": dict(refused),
-            "subjects": dict(subjects),
         }
-        return report | {"hints": _hints(report, kind, trouble, subjects)}
+        return report | {"hints": _hints(report, kind, trouble)}
 
 
-def _hints(report: dict[str, Any], kind: str, trouble: str, subjects: Counter[str]) -> list[str]:
+def _hints(report: dict[str, Any], kind: str, trouble: str) -> list[str]:
     """What is wrong with a report, each with what mends it."""
     if not report["frames"]:
         return [trouble] if trouble else ["nothing came; run it longer"]
@@ -178,8 +174,6 @@ def _hints(report: dict[str, Any], kind: str, trouble: str, subjects: Counter[st
     shifted = [name for name, each in shapes.items() if each["p05"] > SHIFTED_AT_REST]
     if any(not name.startswith(("eyeBlink", "eyeLook")) for name in shifted):
         hints.append(f"never at rest: {_named(shifted)}; `pica calibrate` takes that away")
-    if len(subjects) > 1:
-        hints.append(f"several faces on this port: {', '.join(subjects)}; name one: livelink/NAME")
     return hints
 
 
@@ -208,7 +202,7 @@ def track(options: TrackOptions) -> dict[str, Any]:
                 time.sleep(POLL_S)
         trouble = source.trouble
     kind, _ = split_source(options.source)
-    result = recorder.report(kind, trouble, source.refused, source.subjects)
+    result = recorder.report(kind, trouble, source.refused)
     result |= {"source": options.source, "sender": getattr(source, "sender", "")}
     if options.record is not None:
         recorder.save(options.record)

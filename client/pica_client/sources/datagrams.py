@@ -15,6 +15,7 @@ import logging
 import math
 import re
 import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,8 +56,7 @@ def decode_livelink(packet: bytes) -> TrackerSample:
         raise PacketError("the app sends MetaHuman data; switch it to Live Link (ARKit)")
     if packet[:1] != bytes([VERSION]):
         raise PacketError("not a Live Link Face datagram")
-    _, place = _text(packet, 1)
-    subject, place = _text(packet, place)
+    place = _after_text(packet, _after_text(packet, 1))  # device and subject
     if len(packet) < place + _TIME.size:
         raise PacketError("cut in the frame's time")
     frame, sub_frame, numerator, denominator = _TIME.unpack_from(packet, place)
@@ -65,7 +65,7 @@ def decode_livelink(packet: bytes) -> TrackerSample:
         raise PacketError("the frame's time is none")
     tracker_s = (frame + sub_frame) * denominator / numerator
     if len(packet) == place or packet[place] == 0:
-        return TrackerSample(tracker_s=tracker_s, has_face=False, subject=subject)
+        return TrackerSample(tracker_s=tracker_s, has_face=False)
     if packet[place] != NUM_VALUES:
         raise PacketError(f"{packet[place]} values instead of {NUM_VALUES}")
     if len(packet) != place + 1 + _VALUES.size:
@@ -78,17 +78,16 @@ def decode_livelink(packet: bytes) -> TrackerSample:
         tracker_s=tracker_s,
         arkit=values[:NUM_ARKIT].astype(np.float32),
         rotation=rotation_vector_from_yaw_pitch_roll(angles)[0],
-        subject=subject,
     )
 
 
-def _text(packet: bytes, place: int) -> tuple[str, int]:
-    """A text with its length before it, and the place behind it."""
+def _after_text(packet: bytes, place: int) -> int:
+    """The place behind a text with its length before it."""
     begin = place + 4
     length = int.from_bytes(packet[place:begin], "big", signed=True)
     if not 0 <= length <= MAX_NAME_BYTES or len(packet) < begin + length:
         raise PacketError("cut, or not a Live Link Face datagram")
-    return packet[begin : begin + length].decode("utf-8", "replace"), begin + length
+    return begin + length
 
 
 MAX_BYTES: Final = 8192
@@ -279,3 +278,15 @@ def _rotation(numbers: list[Any]) -> FloatArray:
     if not 0.5 < length < 2:  # no unit quaternion, or none at all
         raise PacketError("a bone without a rotation")
     return rotation_vector_from_quaternion((w / length, x / length, -y / length, -z / length))
+
+
+Decode = Callable[[bytes], Sequence[TrackerSample]]
+"""Reads one datagram; raises `PacketError`."""
+
+
+def decoder_of(kind: str) -> Decode:
+    """Make a decoder for the datagrams of one sender, by the kind of tracker."""
+    if kind == "vmc":
+        return VmcDecoder().decode
+    read = decode_livelink if kind == "livelink" else decode_ifacialmocap
+    return lambda packet: (read(packet),)

@@ -166,7 +166,6 @@ class TrackerSample:
             the subject's left, +y up, +z towards the tracker); None if the tracker does not say.
             float32 ``[3]``.
         has_face: False while the tracker sees no face.
-        subject: Whose face it is, as the tracker calls it.
     """
 
     tracker_s: float | None = None
@@ -174,7 +173,6 @@ class TrackerSample:
     rotation: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
     place_m: FloatArray | None = None
     has_face: bool = True
-    subject: str = ""
 
 
 def arkit_from_names(values: dict[str, float]) -> FloatArray:

@@ -8,7 +8,6 @@ livelink, vmc, webcam, ...            trackers; see `open_live`
 
 import ipaddress
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -20,19 +19,14 @@ from pica_client.sources.datagrams import (
     LIVELINK_PORT,
     REQUESTS,
     VMC_PORT,
-    VmcDecoder,
-    decode_ifacialmocap,
-    decode_livelink,
 )
 from pica_client.sources.live_face import VALUE_LIMIT, rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.source import PERFORMANCES, Recording, Source, Unseen, make_performance
 from pica_client.sources.tracker import (
     ANY_HOST,
     LOOPBACK,
-    Decode,
     SampleTap,
     Tracker,
-    UdpOptions,
     UdpTracker,
 )
 from pica_client.system import say
@@ -40,21 +34,11 @@ from pica_core.errors import CaptureError, FaceNetworksError
 from pica_core.livelink import DAY_S, TIMECODE_FPS, read_livelink_csv
 
 LIVE_HELP: Final = (
-    "livelink[:lan][:PORT][/SUBJECT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP, "
+    "livelink[:lan][:PORT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP, "
     "facemotion3d:PHONE_IP or webcam[:DEVICE|FILE] for a face as it moves"
 )
-LIVE_KINDS: Final = ("livelink", "vmc", *REQUESTS)
-"""Trackers that send datagrams."""
-TRACKER_KINDS: Final = (*LIVE_KINDS, "webcam")
+TRACKER_KINDS: Final = ("livelink", "vmc", *REQUESTS, "webcam")
 """All live sources."""
-
-
-def decoder_of(kind: str) -> Callable[[], Decode]:
-    """What makes a decoder for the datagrams of one sender, by the kind of tracker."""
-    if kind == "vmc":
-        return lambda: VmcDecoder().decode
-    read = decode_livelink if kind == "livelink" else decode_ifacialmocap
-    return lambda: lambda packet: (read(packet),)
 
 
 def open_live(
@@ -81,15 +65,6 @@ def open_live(
         except FaceNetworksError as error:
             raise SourceError(f"webcam: {error}") from error
         return Webcam(rest, networks, calibration, tap)
-    return UdpTracker(parse_live(kind, rest), decoder_of(kind), calibration, tap)
-
-
-def parse_live(kind: str, rest: str) -> UdpOptions:
-    """Read what stands behind the kind.
-
-    Raises:
-        SourceError: It is of another form.
-    """
     if kind in REQUESTS:
         try:
             phone = ipaddress.IPv4Address(rest)
@@ -97,24 +72,16 @@ def parse_live(kind: str, rest: str) -> UdpOptions:
             raise SourceError(
                 f"{kind}:{rest} needs the phone's address, which the app shows: {kind}:192.168.0.7"
             ) from None
-        port, request = REQUESTS[kind]
         # A program that plays the phone on this machine has the same port, at another address.
-        host = LOOPBACK if phone.is_loopback else ANY_HOST
-        return UdpOptions(kind, port, phone=str(phone), request=request, host=host)
-    place, _, subject = rest.partition("/")
-    host, colon, number = ("lan", ":", "") if place == "lan" else place.rpartition(":")
+        host, port = LOOPBACK if phone.is_loopback else ANY_HOST, REQUESTS[kind][0]
+        return UdpTracker(kind, port, calibration, tap, host=host, phone=str(phone))
+    is_lan = rest == "lan" or rest.startswith("lan:")
+    number = rest.removeprefix("lan").removeprefix(":") if is_lan else rest
     port = LIVELINK_PORT if kind == "livelink" else VMC_PORT
     if number and not (number.isdecimal() and int(number) < 65_536):
         raise SourceError(f"{kind}:{rest}: {number!r} is no port; write {kind}:{port}")
-    if host == "lan":
-        host = ANY_HOST
-    elif colon:
-        try:
-            host = str(ipaddress.IPv4Address(host))
-        except ValueError:
-            raise SourceError(f"{kind}:{rest}: {host!r} is no address of this machine") from None
-    port = int(number) if number else port
-    return UdpOptions(kind, port, subject=subject, host=host or LOOPBACK)
+    host = ANY_HOST if is_lan else LOOPBACK
+    return UdpTracker(kind, int(number) if number else port, calibration, tap, host=host)
 
 
 SOURCE_HELP = (
@@ -150,10 +117,9 @@ def open_source(text: str, person: str = "") -> Source:
 
 
 def split_source(text: str) -> tuple[str, str]:
-    """The kind of a source, and what stands behind it: ``livelink/Ada`` has no colon."""
+    """The kind of a source, and what stands behind it."""
     kind, _, rest = text.partition(":")
-    first, slash, subject = kind.partition("/")
-    return (first, slash + subject) if first in LIVE_KINDS and slash else (kind, rest)
+    return kind, rest
 
 
 def start_later(text: str, seconds: float) -> str:

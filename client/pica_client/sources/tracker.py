@@ -6,12 +6,13 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from pica_client.errors import SourceError
 from pica_client.sources.calibration import Calibration
+from pica_client.sources.datagrams import REQUESTS, decoder_of
 from pica_client.sources.live_face import LiveFace, PacketError, TrackerSample
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.types import Image
@@ -29,13 +30,11 @@ class Tracker(ABC):
 
     Attributes:
         refused: How often something came that is not the tracker's, by reason.
-        subjects: How many samples each subject has sent.
     """
 
     def __init__(self, calibration: Calibration | None, tap: SampleTap | None) -> None:
         self.face = LiveFace(calibration)
         self.refused: Counter[str] = Counter()
-        self.subjects: Counter[str] = Counter()
         self._tap = tap
         self._begin_s: float | None = None
         self._lock = threading.Lock()
@@ -83,35 +82,8 @@ POLL_S: Final = 0.2
 SILENT_S: Final = 3.0
 """After this long without a datagram the user is told where the tracker must send to, and a phone
 that was asked is asked again."""
-MAX_SUBJECTS: Final = 8
-"""Faces told apart on one port."""
 
 LOOPBACK, ANY_HOST = "127.0.0.1", "0.0.0.0"
-
-Decode = Callable[[bytes], Sequence[TrackerSample]]
-"""Reads one datagram; raises `PacketError`."""
-
-
-@dataclass(frozen=True, slots=True)
-class UdpOptions:
-    """Where a tracker sends to.
-
-    Attributes:
-        kind: The source's name, as the user writes it.
-        port: Ours, and the phone's that is asked; 0 takes a free one.
-        subject: The face to take; empty takes the first that comes, and the next one once that
-            is silent.
-        phone: Address of a phone that sends only when asked; empty for other programs.
-        request: How it is asked; empty: it is not.
-        host: Our address that receives; programs of other machines reach `ANY_HOST` alone.
-    """
-
-    kind: str
-    port: int
-    subject: str = ""
-    phone: str = ""
-    request: bytes = b""
-    host: str = LOOPBACK
 
 
 class UdpTracker(Tracker):
@@ -125,31 +97,40 @@ class UdpTracker(Tracker):
 
     def __init__(
         self,
-        options: UdpOptions,
-        make_decoder: Callable[[], Decode],
+        kind: str,
+        port: int,
         calibration: Calibration | None = None,
         tap: SampleTap | None = None,
+        *,
+        host: str = LOOPBACK,
+        phone: str = "",
     ) -> None:
         """Listen.
+
+        Args:
+            kind: The source's name, as the user writes it.
+            port: Ours, and the phone's that is asked; 0 takes a free one.
+            host: Our address that receives; programs of other machines reach `ANY_HOST` alone.
+            phone: Address of a phone that sends only when asked; empty for other programs.
 
         Raises:
             SourceError: The port is in use, or is not ours to take.
         """
         super().__init__(calibration, tap)
-        self._options = options
-        self._make_decoder, self._decode = make_decoder, make_decoder()
+        self._kind, self._host, self._phone = kind, host, phone
+        self._decode = decoder_of(kind)
         self.sender = ""
         self._last_address = ""
         self._heard_s = time.monotonic()
-        self._has_heard, self._subject = False, options.subject
+        self._has_heard = False
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((options.host, options.port))
+            self._socket.bind((host, port))
         except OSError as error:
             self._socket.close()
             raise SourceError(
-                f"{options.kind}: UDP port {options.port}: {error.strerror}; end the program that "
-                f"has it, or name another one: {options.kind}:PORT"
+                f"{kind}: UDP port {port}: {error.strerror}; end the program that has it, or name "
+                f"another one: {kind}:PORT"
             ) from error
         self._socket.settimeout(POLL_S)
         self._thread.start()
@@ -163,26 +144,21 @@ class UdpTracker(Tracker):
     @property
     def trouble(self) -> str:
         """Say what is wrong, see `Tracker.trouble`."""
-        options = self._options
+        kind = self._kind
         if time.monotonic() - self._heard_s < SILENT_S:
             return ""
-        if options.phone:
-            return f"{options.kind}: {options.phone} does not answer; is the app open there?"
+        if self._phone:
+            return f"{kind}: {self._phone} does not answer; is the app open there?"
         if self.refused and not self._has_heard:
             reason, _ = self.refused.most_common(1)[0]
-            return f"{options.kind}: datagrams come, but: {reason}"
-        others = ", ".join(repr(each) for each in tuple(self.subjects) if each != options.subject)
-        if options.subject and others:
-            return f"{options.kind}: no face of {options.subject!r} comes, but of {others}"
+            return f"{kind}: datagrams come, but: {reason}"
         silent = "no more datagrams" if self._has_heard else "no datagram yet"
-        if options.host == LOOPBACK:
+        if self._host == LOOPBACK:
             return (
-                f"{options.kind}: {silent} of this machine at port {self.port}; for a phone or "
-                f"another machine use {options.kind}:lan"
+                f"{kind}: {silent} of this machine at port {self.port}; for a phone or another "
+                f"machine use {kind}:lan"
             )
-        return (
-            f"{options.kind}: {silent}; the tracker must send to {own_address()}, port {self.port}"
-        )
+        return f"{kind}: {silent}; the tracker must send to {own_address()}, port {self.port}"
 
     def close(self) -> None:
         """Stop listening, and free the port."""
@@ -193,20 +169,20 @@ class UdpTracker(Tracker):
         asked_s = -SILENT_S
         while not self._closing.is_set():
             now = time.monotonic()
-            if self._options.request and now - max(asked_s, self._heard_s) > SILENT_S:
+            if self._phone and now - max(asked_s, self._heard_s) > SILENT_S:
                 self._ask()
                 asked_s = now
             try:
                 packet, (address, _) = self._socket.recvfrom(READ_BYTES)
             except OSError:  # the wait is over; or a port is closed, as Windows reports
                 continue
-            if not self._options.phone or address == self._options.phone:
+            if self._phone in ("", address):
                 self._take(packet, address, time.monotonic())
 
     def _ask(self) -> None:
-        options = self._options
+        port, request = REQUESTS[self._kind]
         try:
-            self._socket.sendto(options.request, (options.phone, options.port))
+            self._socket.sendto(request, (self._phone, port))
         except OSError as error:
             self.refused[f"the phone cannot be reached: {error.strerror}"] += 1
 
@@ -216,21 +192,14 @@ class UdpTracker(Tracker):
             self.refused["another machine sends, too"] += 1
             return
         if address != self._last_address:
-            self._last_address, self._decode = address, self._make_decoder()
+            self._last_address, self._decode = address, decoder_of(self._kind)
         try:
             samples = self._decode(packet)
         except PacketError as error:
             self.refused[str(error)] += 1
             return
         for sample in samples:
-            if len(self.subjects) < MAX_SUBJECTS or sample.subject in self.subjects:
-                self.subjects[sample.subject] += 1
-            if is_silent and not self._options.subject:
-                self._subject = sample.subject
-            if sample.subject != self._subject:
-                continue
-            self._heard_s, self._has_heard = arrived_s, True
-            self.sender, is_silent = address, False
+            self._heard_s, self._has_heard, self.sender = arrived_s, True, address
             self._push(sample, arrived_s)
 
 

@@ -198,7 +198,7 @@ def test_a_performance_is_named_with_seed_and_start() -> None:
         ("csv:x@inf", "the start is inf s; 0 or more is allowed"),
         ("livelink:x", "'x' is no port; write livelink:11111"),
         ("livelink:70000", "'70000' is no port"),
-        ("vmc:nohost:1", "'nohost' is no address of this machine"),
+        ("vmc:nohost:1", "'nohost:1' is no port"),
         ("ifacialmocap", "needs the phone's address"),
         ("facemotion3d:phone", "needs the phone's address"),
     ],

@@ -173,7 +173,7 @@ def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
     assert waits[0] < 0.5
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_a_photo_is_shown_as_its_camera_was_held_again_and_again(
     tmp_path: Path, orientation: int
 ) -> None:
