@@ -29,7 +29,6 @@ from pica_client.local_call.processes import Children
 from pica_protocol.invite import Invite, make_link
 
 if TYPE_CHECKING:
-    from pica_client.ui.actions import Request
     from pica_client.ui.call_view import CallView
     from pica_client.ui.state import ViewState
 
@@ -175,7 +174,7 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         desk.click("Join")
         desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 1)
         take("02-call")
-        for number, panel in enumerate(("Participants", "Statistics", "Settings", "Help"), 3):
+        for number, panel in enumerate(("Participants", "Settings", "Help"), 3):
             desk.click(panel)
             desk.wait("open", side=panel.lower())
             take(f"{number:02}-{panel.lower()}")
@@ -183,21 +182,21 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
             desk.wait("closed", side="none")
         desk.click("Record")
         desk.wait("recording", is_recording=True)
-        take("07-recording")
+        take("06-recording")
         desk.click("Stop recording")
         desk.wait("recorded", is_recording=False)
-        take("08-recorded")
+        take("07-recorded")
         desk.click("Next layout")
-        take("09-layout")
+        take("08-layout")
         os.kill(relay.pid, signal.SIGKILL)
         desk.wait("the relay is gone", is_connected=False, away_s=2)
-        take("10-relay-gone")
+        take("09-relay-gone")
         port = url.rpartition(":")[2]
         again = children.start("relay again", "relay", "--port", port)
         desk.wait("back", is_connected=True, faces=len(PEOPLE))
-        take("11-back")
+        take("10-back")
         desk.click("Leave the call")
-        take("12-leaving")
+        take("11-leaving")
         desk.click("Leave")
         window.wait(60)
         again.let_go()
@@ -216,17 +215,15 @@ def show_window(notes: Path, arguments: list[str]) -> None:
 
     state: dict[str, Any] = {"frame": 0}
 
-    def note_call(view: ViewState, call: CallView) -> list[Request]:
-        faces = [bool(each.figures and each.figures.num_decoded) for each in call.people]
+    def note_call(view: ViewState, call: CallView) -> None:
         state.update(
-            faces=sum(faces),
+            faces=sum(not each.remark for each in call.people),
             here=len(call.status.participants),
             side=view.side,
             is_recording=view.is_recording,
             is_connected=call.status.is_connected,
             away_s=call.status.away_s,
         )
-        return []
 
     call_surface.PANELS = (*call_surface.PANELS, note_call)
     render = imgui.render

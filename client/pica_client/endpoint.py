@@ -241,7 +241,6 @@ class Receiver(Endpoint):
             is_admin=link.is_admin,
             muted_by_admin=muted,
             own_trouble="" if face is None else face.trouble,
-            summary=self._summary(now, sum(each.payload_bps or 0.0 for each in room.participants)),
         )
 
     def _is_busy(self, now: float) -> bool:
@@ -259,16 +258,6 @@ class Receiver(Endpoint):
             return self._uplink.skip()
         missed_s = self.link.num_replaced / face.config.fps
         return self._uplink.receive(PlayoutReport(received=face.num_sent, missed_s=missed_s), now)
-
-    def _summary(self, now: float, bps: float) -> tuple[tuple[str, str], ...]:
-        stats = self.stats(now)
-        delay_ms = max((peer["playout_delay_ms"] for peer in stats["peers"]), default=0.0)
-        return (
-            ("relay", "connected" if self.link.is_joined else "away"),
-            ("in", f"{bps / 1e3:.1f} kbit/s"),
-            ("playout", f"{delay_ms:.0f} ms"),
-            ("errors", str(stats["errors"])),
-        )
 
     def __enter__(self) -> Self:
         def work() -> None:

@@ -50,9 +50,11 @@ class Ears(Protocol):
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of a voice, see `voice.opus`; they come in the order of arrival."""
+        return
 
     def seat(self, peer_ids: Sequence[str]) -> None:
         """Take the other members with a face or a voice, in the order of coming."""
+        return
 
     def heard_us(self, peer_id: str, now: float) -> int | None:
         """The moment of a peer's voice, on its clock, that leaves the loudspeaker now; None: there

@@ -59,7 +59,6 @@ class Participant:
         self.told = self._wanted = 1  # a relay that was told nothing sends everything
         self._before = PlayoutReport()  # when the statistics began
         self._meter = QualityMeter()
-        self._rated = 0.0, 0  # when, and payload bytes by then
         self._decoder: LatentDecoder | None = None
         self._lower_s = math.inf  # when less is asked for
         self._lowered_s = -math.inf
@@ -177,21 +176,17 @@ class Participant:
         self._before = self.playout.report()
 
     def rated(self, now: float, *, is_busy: bool) -> Member:
-        """The member with how its stream comes in; asked about twice a second.
+        """The member with how well its stream comes in; asked about twice a second.
 
         Args:
             is_busy: Whether this machine was too busy to say how frames come.
         """
-        report, (before_s, before_bytes) = self.playout.report(), self._rated
-        self._rated = now, report.payload_bytes
         if self.member.is_away or self._is_muted:
             quality = self._meter.pause()
         else:
+            report = self.playout.report()
             quality = self._meter.skip() if is_busy else self._meter.receive(report, now)
-        bps = None
-        if before_s and now > before_s:
-            bps = (report.payload_bytes - before_bytes) * 8 / (now - before_s)
-        return replace(self.member, quality=quality, payload_bps=bps, stream=report)
+        return replace(self.member, quality=quality)
 
     def stats(self, seconds: float | None) -> dict[str, Any]:
         """How the stream came in.

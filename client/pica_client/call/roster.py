@@ -25,7 +25,6 @@ from functools import cache
 from typing import Final, Literal
 
 from pica_client.call.connection_quality import Quality
-from pica_client.playout.buffer import PlayoutReport
 from pica_client.tracks import (
     FACE_KEY,
     FACE_TRACK,
@@ -85,10 +84,6 @@ class Member:
     """Whether it has sent us a key that we can do nothing with: it encrypts, and we do not."""
 
     quality: Quality = "unknown"
-    payload_bps: float | None = None
-    """Bits a second over the last seconds; None before there were any."""
-    stream: PlayoutReport = field(default_factory=PlayoutReport)
-    """How the face comes in."""
     is_verified: bool = False
     """Whether it has proven to know the room's secret, where faces are encrypted."""
     warning: str = ""

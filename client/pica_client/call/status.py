@@ -1,4 +1,4 @@
-"""How the call stands, who is in it, and what its avatars cost, to be shown. Pure.
+"""How the call stands, and who is in it, to be shown. Pure.
 
 People are listed oneself first, then the others in order of coming. Watchers are in it, too: all
 who can see us are listed.
@@ -84,21 +84,6 @@ class CallStatus:
     no other member is verified."""
     duration_s: float = 0.0
     """Since we came in for the first time."""
-    summary: tuple[tuple[str, str], ...] = ()
-    """Further figures for the statistics, name and value."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AvatarFigures:
-    """What one avatar costs, over its latest frames."""
-
-    level: int | None
-    """Rows of the position map shown; None before the first."""
-    decode_ms: float | None
-    latency_ms: float | None
-    """Time from the sender's sample to its decoded maps; meaningful on one machine only."""
-    num_decoded: int
-    is_speaking: bool
 
 
 NoticeTone = Literal["plain", "good", "warning", "alert"]

@@ -41,7 +41,6 @@ class Action(Enum):
     PARTICIPANTS = auto()
     SETTINGS = auto()
     HELP = auto()
-    STATISTICS = auto()
     FULL_SCREEN = auto()
     CLOSE = auto()
     """Close what is open, or ask whether to leave."""
@@ -145,7 +144,6 @@ ACTIONS: Final[dict[Action, Row]] = {
     ),
     Action.CALIBRATE: Row(keys=(_KEY.k,), title="calibrate the tracker", needs="face"),
     Action.PARTICIPANTS: _panel("participants", icons.ICON_FA_USER_GROUP, _KEY.u),
-    Action.STATISTICS: _panel("statistics", icons.ICON_FA_CHART_SIMPLE, _KEY.s),
     Action.RECORD: Row(
         keys=(_KEY.v,),
         title="start or stop recording",

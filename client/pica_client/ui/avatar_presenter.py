@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 
 from pica_client.call.call import Call
 from pica_client.call.speaking import JawReader, SpeakingMeter
-from pica_client.call.status import AvatarFigures, FaceState
+from pica_client.call.status import FaceState
 from pica_client.decode.pool import DecodePool
 from pica_client.errors import ShaderError
 from pica_client.render import views
@@ -56,35 +56,27 @@ VOICE_HOLD_S = 0.4
 AHEAD_SMOOTHING, MAX_IMAGE_S = 0.05, 0.5
 """Weight of one decoded face in the mean of how long faces take to be seen, and the longest that is
 believed of an image."""
-RECENT_SAMPLES = 60
-"""What the figures of one avatar, and of the panel, are made of."""
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
 
 
 class Meter:
-    """Durations of a call, in seconds: all of them for the report, the latest for the panel."""
+    """Durations of a call, in seconds, for the report."""
 
     def __init__(self) -> None:
         self._samples = {name: deque[float](maxlen=MAX_SAMPLES) for name in MEASURED}
-        self._recent = {name: deque[float](maxlen=RECENT_SAMPLES) for name in MEASURED}
 
     def add(self, name: str, duration_s: float) -> None:
         """Take one more duration of one of `MEASURED`."""
         self._samples[name].append(duration_s)
-        self._recent[name].append(duration_s)
 
     def clear(self) -> None:
         """Forget all: what came before was warming up."""
-        for samples in (*self._samples.values(), *self._recent.values()):
+        for samples in self._samples.values():
             samples.clear()
 
     def summaries(self) -> dict[str, Summary]:
         """Percentiles of all, milliseconds, as ``draw_ms`` and so on."""
         return {f"{name}_ms": summarise_ms(samples) for name, samples in self._samples.items()}
-
-    def recent_ms(self, name: str) -> Summary:
-        """Percentiles of the latest, milliseconds."""
-        return summarise_ms(self._recent[name])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -126,10 +118,7 @@ class _Peer:
     """Whether a decode has been asked for and is not there."""
     drawn: Placement | None = None
     """As it was drawn last."""
-    level: int | None = None
     fade: float = 0.0
-    decode: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_SAMPLES))
-    latency: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_SAMPLES))
     jaw: JawReader | None = None
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
     heard_s: float | None = None
@@ -317,13 +306,9 @@ class AvatarPresenter:
             self._meter.add("upload", upload_s)
             self._meter.add("decode", result.decode_s)
             self._meter.add("decode_wait", result.waited_s)
-            entry.decode.append(result.decode_s)
             if result.captured_us > entry.captured_us:  # a newly shown sample, not a turned view
                 entry.captured_us = result.captured_us
-                latency_s = result.finished_s - result.captured_us * 1e-6
-                self._meter.add("latency", latency_s)
-                entry.latency.append(latency_s)
-            entry.level = result.level
+                self._meter.add("latency", result.finished_s - result.captured_us * 1e-6)
             entry.num_decoded += 1
             self.seen.add(result.slot)
 
@@ -355,18 +340,9 @@ class AvatarPresenter:
         """Why peers are drawn as placeholders, by peer id."""
         return {peer_id: entry.problem for peer_id, entry in self._peers.items() if entry.problem}
 
-    def figures(self, now: float) -> Mapping[str, AvatarFigures]:
-        """What each avatar costs, by peer id."""
-        return {
-            peer_id: AvatarFigures(
-                level=entry.level,
-                decode_ms=summarise_ms(entry.decode)["p50"],
-                latency_ms=summarise_ms(entry.latency)["p50"],
-                num_decoded=entry.num_decoded,
-                is_speaking=entry.is_speaking(now),
-            )
-            for peer_id, entry in self._peers.items()
-        }
+    def speaking(self, now: float) -> set[str]:
+        """Those who speak, by peer id."""
+        return {peer_id for peer_id, entry in self._peers.items() if entry.is_speaking(now)}
 
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""

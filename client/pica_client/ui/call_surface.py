@@ -1,6 +1,6 @@
 """The surface of a call: what there is to show is collected into a `CallView`, panels draw it.
 
-Keeps what lasts longer than a frame: the figures, which change twice a second, and notices.
+Keeps what lasts longer than a frame: how the call stands, twice a second, and notices.
 
 A name stands on the chest of its owner, no wider than the shoulders and never over a face, neither
 the owner's nor another's. Who cannot be seen has no name on the picture.
@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from imgui_bundle import imgui
 
 from pica_client.call.status import CallStatus, notices
 from pica_client.render.scene import NEAR_M, Rect, common_px
 from pica_client.render.seats import FreeShares
-from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
+from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
 from pica_client.ui.call_view import (
     UNKNOWN,
     CallView,
@@ -53,7 +52,7 @@ PANELS: tuple[Panel, ...] = (
 )
 """All panels, in the order in which they are drawn."""
 STATUS_PERIOD_S = 0.5
-"""How often figures change: readable."""
+"""How often it is asked how the call stands."""
 FACE_LOW_M, FACE_HIGH_M = (-0.085, -0.125, 0.04), (0.085, 0.13, 0.04)
 """Opposite corners of what no name may cover: chin to hairline, ear to ear."""
 HALF_WIDTH_M = 0.175
@@ -86,17 +85,14 @@ class CallSurface:
 
     def __init__(
         self,
-        meter: Meter,
         status: Callable[[float], CallStatus] | None,
         *,
         has_pointer: bool,
     ) -> None:
         self.free = FreeShares()
         self.status = CallStatus()
-        self._meter = meter
         self._ask_status = status
         self._asked_s = -math.inf
-        self._figures: tuple[tuple[str, str], ...] = ()
         self._has_pointer = has_pointer
         self._board = NoticeBoard()
 
@@ -121,7 +117,6 @@ class CallSurface:
                 self.status = self._ask_status(now)
             for text, tone in notices(self.status.news):
                 self._board.add(Notice(text, tone), now)
-            self._figures = self._figures_now()
         view = CallView(
             people=self._people(now, scene, presenter),
             status=self.status,
@@ -129,7 +124,6 @@ class CallSurface:
             has_pointer=self._has_pointer,
             own=own,
             sound=sound,
-            figures=self._figures,
         )
         self.free = free_shares(state, view)
         for panel in PANELS:
@@ -138,7 +132,7 @@ class CallSurface:
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter
     ) -> tuple[PersonView, ...]:
-        figures, problems = presenter.figures(now), presenter.problems
+        speaking, problems = presenter.speaking(now), presenter.problems
         members = {each.peer_id: each for each in self.status.participants}
         pixels = scene.camera.width / screen()[0]  # a unit
         columns, rows = least_name()
@@ -146,7 +140,7 @@ class CallSurface:
         labels = place_labels(heads, scene.camera, (columns * pixels, rows * pixels))
         people = []
         for face, label in zip(scene.faces, labels, strict=True):
-            peer_id, found = face.peer_id, figures.get(face.peer_id)
+            peer_id = face.peer_id
             member = members.get(peer_id, UNKNOWN)
             if label is not None:
                 left, top, right, bottom = (side / pixels for side in label)
@@ -156,18 +150,12 @@ class CallSurface:
                     peer_id=peer_id,
                     name=face.name,
                     remark=problems.get(peer_id) or face.note or member.line,
-                    is_speaking=found is not None and found.is_speaking,
+                    is_speaking=peer_id in speaking,
                     label=label,
-                    figures=found,
                     member=member,
                 )
             )
         return tuple(people)
-
-    def _figures_now(self) -> tuple[tuple[str, str], ...]:
-        draw_ms = self._meter.recent_ms("draw")["p50"] or 0.0
-        fps = (f"{imgui.get_io().framerate:.1f}", "fps")
-        return (fps, ("draw", f"{draw_ms:.1f} ms"), *self.status.summary)
 
 
 class _Seen(NamedTuple):

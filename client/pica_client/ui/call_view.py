@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from pica_client.call.roster import Member
-from pica_client.call.status import AvatarFigures, CallStatus
+from pica_client.call.status import CallStatus
 from pica_client.publish import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.state import ViewState
@@ -64,7 +64,6 @@ class PersonView:
     is_speaking: bool = False
     label: Rect | None = None
     """The part of the surface that the name may fill, from its upper edge on; None: nowhere."""
-    figures: AvatarFigures | None = None
     member: Member = UNKNOWN
     """As of the last look at the room."""
 
@@ -97,8 +96,6 @@ class CallView:
     own: OwnFaceView = field(default_factory=OwnFaceView)
     sound: SoundState | None = None
     """How sound stands; None: there is none."""
-    figures: tuple[tuple[str, str], ...] = ()
-    """Figures of the whole call, name and value."""
 
 
 Panel = Callable[[ViewState, CallView], None]

@@ -1,10 +1,4 @@
-"""The panel at the right with help, settings, participants or statistics, and the waiting page.
-
-Columns of the statistics: the level of detail and what its decode costs; what its stream takes; how
-late and how old it is; how much of it had to be concealed.
-"""
-
-import math
+"""The panel at the right with help, settings or participants, and the waiting page."""
 
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
@@ -13,14 +7,13 @@ from pica_client.call.roster import Member
 from pica_client.call.status import duration_text
 from pica_client.ui import widgets
 from pica_client.ui.actions import Action, help_lines
-from pica_client.ui.call_view import CallView, PersonView
+from pica_client.ui.call_view import CallView
 from pica_client.ui.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import (
     BAR_PT,
     EDGE_PT,
     PADDING_PT,
-    SMALL_PT,
     TEXT_PT,
     TONES,
     Tone,
@@ -29,17 +22,12 @@ from pica_client.ui.widgets import (
 )
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
-WIDTH_PT, STATISTICS_PT = 300.0, 420.0
+WIDTH_PT = 300.0
 WAITING_PT = 380.0
 CLOSE_PT = 28.0
 CODE_PT = 19.0
 MENU_PT = 24.0
 VOLUME_PT = 180.0
-COLUMNS = ("", "level", "decode", "kbit/s", "latency", "age", "lost %")
-NO_FIGURE = "–"
-NAME_PT = 90.0
-MAX_LATENCY_MS = 10_000.0
-"""Beyond it sender and receiver have different clocks, and the figure means nothing."""
 Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
@@ -49,7 +37,7 @@ def side_panel(state: ViewState, call: CallView) -> None:
     if state.side == "none":
         return
     edge, (columns, rows), name = px(EDGE_PT), screen(), state.side.title()
-    width, height = px(_width_pt(state)), rows - edge * 3 - px(BAR_PT)
+    width, height = px(WIDTH_PT), rows - edge * 3 - px(BAR_PT)
     with widgets.card(name, (columns - edge - width, edge), size=(width, 0)):
         widgets.title(name)
         imgui.same_line(imgui.get_window_width() - px(CLOSE_PT + PADDING_PT))
@@ -64,8 +52,6 @@ def side_panel(state: ViewState, call: CallView) -> None:
                 _help(state)
             case "settings":
                 settings_tabs(state, call)
-            case "statistics":
-                _statistics(call)
             case "participants":
                 _participants(state, call)
         imgui.end_child()
@@ -75,11 +61,7 @@ def side_share(state: ViewState) -> float:
     """Return the part of the picture's width that the panel takes from the people."""
     if state.side == "none":
         return 0.0
-    return (px(_width_pt(state)) + 2 * px(EDGE_PT)) / screen()[0]
-
-
-def _width_pt(state: ViewState) -> float:
-    return STATISTICS_PT if state.side == "statistics" else WIDTH_PT
+    return (px(WIDTH_PT) + 2 * px(EDGE_PT)) / screen()[0]
 
 
 def _help(state: ViewState) -> None:
@@ -93,45 +75,6 @@ def _help(state: ViewState) -> None:
             imgui.table_next_column()
             widgets.note(meaning)
         imgui.end_table()
-
-
-def _statistics(call: CallView) -> None:
-    """A line for each participant, and the figures of the whole call."""
-    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
-    with widgets.type_size(SMALL_PT):
-        if imgui.begin_table("figures", len(COLUMNS), flags):
-            for name in COLUMNS:
-                imgui.table_setup_column(name)
-            imgui.table_headers_row()
-            for person in call.people:
-                for cell in row_of(person):
-                    imgui.table_next_column()
-                    imgui.text_unformatted(cell)
-            imgui.end_table()
-        widgets.note("Decoding, latency and age are in milliseconds.")
-        for name, value in call.figures:
-            widgets.note(f"{name} {value}")
-
-
-def row_of(person: PersonView) -> tuple[str, ...]:
-    """Return the figures of one participant, as the table shows them."""
-    found, stream, bps = person.figures, person.member.stream, person.member.payload_bps
-    latency = None if found is None else found.latency_ms
-    if latency is not None and not 0 <= latency <= MAX_LATENCY_MS:
-        latency = None
-    return (
-        widgets.shortened(person.name, px(NAME_PT), SMALL_PT),
-        _figure(None if found is None else found.level, 0),
-        _figure(None if found is None else found.decode_ms, 1),
-        _figure(None if bps is None else bps / 1e3, 1),
-        _figure(latency, 0),
-        _figure(stream.age_s * 1e3 if stream.shown else None, 0),
-        _figure(stream.concealed_ratio * 100 if stream.shown else None, 1),
-    )
-
-
-def _figure(value: float | None, digits: int) -> str:
-    return NO_FIGURE if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
 def waiting_page(state: ViewState, call: CallView) -> None:

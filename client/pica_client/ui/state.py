@@ -21,7 +21,7 @@ from pica_core.files import replacing
 
 Sent = Literal["none", "sent", "muted"]
 """What becomes of the user's own face or voice; none: there is none to send."""
-Side = Literal["none", "help", "participants", "settings", "statistics"]
+Side = Literal["none", "help", "participants", "settings"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""

@@ -121,7 +121,7 @@ class Viewer(Closing):
             self._period_s = 1 / (options.max_fps or (SOFTWARE_FPS if is_slow else DISPLAY_FPS))
             status = None if receiver is None else receiver.status
             has_pointer = window is not None
-            self._panels = CallSurface(self._meter, status, has_pointer=has_pointer)
+            self._panels = CallSurface(status, has_pointer=has_pointer)
             self._recorder: Recorder | None = None
             stack.callback(self._close_recording)
             if (path := options.record) is not None:

@@ -88,10 +88,10 @@ def test_the_key_to_talk_is_held(controls: Controls) -> None:
 
 def test_panels_open_and_close_by_key(controls: Controls) -> None:
     seen = []
-    for key in (KEY.s, KEY.h, KEY.u, KEY.u):
+    for key in (KEY.o, KEY.h, KEY.u, KEY.u):
         controls.press(key)
         seen.append(controls.state.side)
-    assert seen == ["statistics", "help", "participants", "none"]
+    assert seen == ["settings", "help", "participants", "none"]
 
 
 def test_layouts_follow_each_other_and_come_round(controls: Controls) -> None:

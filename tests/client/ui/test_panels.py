@@ -14,8 +14,7 @@ from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
-from pica_client.call.status import AvatarFigures, CallStatus
-from pica_client.playout.buffer import PlayoutReport
+from pica_client.call.status import CallStatus
 from pica_client.publish import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import (
@@ -67,7 +66,6 @@ BUTTONS = {
     "Record": Action.RECORD,
     "Participants": Action.PARTICIPANTS,
     "Settings": Action.SETTINGS,
-    "Statistics": Action.STATISTICS,
     "Help": Action.HELP,
     "Leave the call": Action.CLOSE,
 }
@@ -369,27 +367,6 @@ def test_an_admin_lets_a_barred_person_rejoin_and_unmutes_another(hand: Hand) ->
     assert state.barred == {}
     asked = clicking(hand, side_panel, state, call, "More on Ada", "Unmute voice")
     assert asked == [MutePeer(peer_id="p1", kind="voice", is_muted=False)]
-
-
-def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_unknown(
-    hand: Hand,
-) -> None:
-    known = PersonView(
-        peer_id="a",
-        name="Ada",
-        figures=AvatarFigures(
-            level=128, decode_ms=4.25, latency_ms=1e6, num_decoded=1, is_speaking=False
-        ),
-        member=replace(
-            ADA, payload_bps=1730.0, stream=PlayoutReport(shown=200, concealed=3, age_s=0.012)
-        ),
-    )
-    call = CallView(people=(known, PersonView(peer_id="b", name="")), figures=(("30.0", "fps"),))
-    said = texts(hand, side_panel, call, replace(LISTED, side="statistics")).split("\n")
-    first = said.index("Ada")
-    assert said[first : first + 7] == ["Ada", "128", "4.2", "1.7", "–", "12", "1.5"]
-    assert said[first + 7 : first + 14] == ["", *["–"] * 6]
-    assert "30.0 fps" in said
 
 
 @pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])

@@ -166,7 +166,7 @@ def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> 
     class Asked:
         def status(self, now: float) -> CallStatus:
             asked.append(now)
-            return CallStatus(summary=(("in", "65 kbit/s"),))
+            return CallStatus()
 
     with Viewer(Faces("ada"), SMALL, receiver=Asked()) as viewer:  # type: ignore[arg-type]
         for step in range(10):
