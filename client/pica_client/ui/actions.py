@@ -44,7 +44,6 @@ class Action(Enum):
     FULL_SCREEN = auto()
     CLOSE = auto()
     """Close what is open, or ask whether to leave."""
-    TEST_SOUND = auto()
     COPY_INVITATION = auto()
 
 

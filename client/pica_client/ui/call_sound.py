@@ -75,11 +75,6 @@ class CallSound:
         before, self._trouble = self._trouble, self._sound.state.trouble
         return self._trouble if self._trouble != before else ""
 
-    def play_test(self) -> None:
-        """Play something to hear that it can be heard."""
-        if self._sound is not None:
-            self._sound.play_test()
-
     def report(self, call: Call) -> dict[str, Any] | None:
         """How sound and the faces of a call went since the call's statistics began; None where the
         others are not heard.

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from pica_client.sources.source import PERFORMANCES
@@ -77,8 +76,6 @@ def _sound(state: ViewState, sound: SoundState) -> None:
     settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
     _meter(sound.speaker_level, sound.speaker)
     state.sound = replace(settings, volume=volume_slider("##volume", settings.volume))
-    if action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound"):
-        state.requests.append(Action.TEST_SOUND)
 
 
 def volume_slider(label: str, volume: float, *, width: float = -1.0) -> float:

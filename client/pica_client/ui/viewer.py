@@ -150,7 +150,7 @@ class Viewer(Closing):
                 publisher = controls.publisher
                 reflection = Reflection(publisher.avatar, publisher.track)
                 publisher.watch(reflection.receive)
-                self._self_view = SelfView(context, reflection, RENDER, options.decode)
+                self._self_view = SelfView(context, reflection, options.decode)
                 stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
@@ -381,8 +381,6 @@ class Viewer(Closing):
                 self._panels.notice(notice, now)
             case Action.FULL_SCREEN if self._window is not None:
                 self._window.toggle_full_screen()
-            case Action.TEST_SOUND:
-                self._sound.play_test()
             case Action.CALIBRATE if self._controls is not None:
                 self._controls.calibrate(now)
             case Action.COPY_INVITATION:
@@ -399,7 +397,6 @@ class SelfView:
 
     Args:
         context: Where to draw; current on this thread.
-        options: How avatars are drawn.
         decode: Where it is decoded.
     """
 
@@ -407,10 +404,9 @@ class SelfView:
         self,
         context: moderngl.Context,
         reflection: Reflection,
-        options: RenderOptions,
         decode: DecodeChoice = "auto",
     ) -> None:
-        self._renderer = Renderer(context, (16, 12), options)
+        self._renderer = Renderer(context, (16, 12), RENDER)
         self._pool = DecodePool(OnnxDecoder)
         self._shaders = choose_decoder(decode, context, self._renderer)
         self._presenter = AvatarPresenter(

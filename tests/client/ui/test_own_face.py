@@ -11,7 +11,6 @@ from pica_client.call.call import Reflection
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeChoice
 from pica_client.publish import Publisher, SenderConfig
-from pica_client.render.renderer import RenderOptions
 from pica_client.sources import open_source
 from pica_client.ui.viewer import SelfView
 from pica_core.avatar.expression_encoder import ExpressionEncoder
@@ -44,7 +43,7 @@ def test_ones_own_face_appears_once_it_is_sent_in_the_size_that_is_asked_for(
     track = Publisher(SenderConfig(), source, AVATAR, "5" * 64).track
     reflection = Reflection(AVATAR, track)
     context = create_context()
-    view = SelfView(context, reflection, RenderOptions(), decode)
+    view = SelfView(context, reflection, decode)
     try:
         assert view.draw(0.0, 60) is None
         for number in range(30):

@@ -141,8 +141,7 @@ class Loudspeaker(_Device):
     """Plays what a mixer mixes.
 
     Attributes:
-        on_played: Is given what goes to the device, float32 ``[FRAME_SAMPLES, 2]``: the mix, and a
-            test sound.
+        on_played: Is given what goes to the device, float32 ``[FRAME_SAMPLES, 2]``.
     """
 
     def __init__(self, mixer: VoiceMixer, name: str = "") -> None:
@@ -150,13 +149,7 @@ class Loudspeaker(_Device):
         self.on_played: Callable[[FloatArray], None] | None = None
         self._mixer = mixer
         self._played_s: deque[float] = deque(maxlen=LOST_FRAMES)
-        self._test: list[FloatArray] = []
         self._nothing = _NoSpeaker()
-
-    def play_test(self, sound: FloatArray) -> None:
-        """Play a sound over the call, to hear that it can be heard. float32, mono."""
-        whole = sound[: len(sound) // FRAME_SAMPLES * FRAME_SAMPLES]
-        self._test = list(whole.reshape(-1, FRAME_SAMPLES))
 
     def _open(self, name: str) -> tuple[Any, DeviceState]:
         if name == NO_DEVICE:
@@ -186,8 +179,6 @@ class Loudspeaker(_Device):
 
     def _next(self) -> FloatArray:
         sound = self._mixer.mix(time.monotonic(), self.state.latency_s)
-        if self._test:
-            sound = sound + self._mixer.volume * self._test.pop(0)[:, None]
         if self.on_played is not None:
             self.on_played(sound)
         return sound

@@ -92,10 +92,6 @@ class SoundProcess:
         """Take a packet of a peer's voice."""
         self._tell("receive", peer_id, packet, arrived_s)
 
-    def play_test(self) -> None:
-        """Play something to hear that it can be heard."""
-        self._tell("play_test")
-
     async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
         """What the microphone captures; this is a `publisher.VoiceSource`."""
         loop = asyncio.get_running_loop()

@@ -157,10 +157,6 @@ class SoundWorker:
             canceller = self._canceller if settings.cleans else None
             self._microphone.clean = None if canceller is None else canceller.clean
 
-    def play_test(self) -> None:
-        """Play something to hear that it can be heard."""
-        self._loudspeaker.play_test(chime())
-
     def hand_on(self, is_wanted: bool) -> None:
         """Send what is mixed, as for a recording, or no longer."""
         put = self._outbox.put
@@ -194,15 +190,6 @@ class SoundWorker:
             if (microphone := self._microphone) is not None:
                 microphone.offer(self._names[1])
             self._stopping.wait(RETRY_S)
-
-
-def chime() -> FloatArray:
-    """Two tones that fade, a second in all; float32, mono."""
-    times = np.arange(SAMPLE_RATE_HZ // 2) / SAMPLE_RATE_HZ
-    fade = 0.3 * np.exp(-6 * times) * np.minimum(times / 0.005, 1)
-    tones = [fade * np.sin(2 * np.pi * hertz * times) for hertz in (660.0, 880.0)]
-    sound: FloatArray = np.concatenate(tones).astype(np.float32)
-    return sound
 
 
 def main() -> None:
