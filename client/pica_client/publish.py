@@ -61,8 +61,6 @@ class SenderConfig:
     """How long to send, once the relay has let us in; 0 is until Ctrl-C."""
     quality: int = DEFAULT_QUALITY
     """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
-    mouth_by_voice: bool = True
-    """Move the mouth by the voice while the tracker sees no face, if there is a voice."""
 
     def __post_init__(self) -> None:
         check_ranges(self, fps=(1, 240), quality=(0, BEST_QUALITY))
@@ -110,8 +108,8 @@ class Publisher:
         self._told = ""
 
     def listen_to(self, voice: VoicePublisher | None) -> None:
-        """Let the owner's voice move the mouth while the tracker sees no face, if that is set."""
-        if voice is not None and self.config.mouth_by_voice:
+        """Let the owner's voice move the mouth while the tracker sees no face."""
+        if voice is not None:
             spoken = self._spoken = SpokenFace()
             voice.listeners.append(
                 lambda pcm, captured_us: spoken.hear(pcm, captured_us / 1e6 - self._begin_s)

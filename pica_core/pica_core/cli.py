@@ -116,8 +116,24 @@ def check(options: CheckOptions) -> dict[str, Any]:
     return result
 
 
+@dataclass(frozen=True, kw_only=True)
+class LookChoices:
+    """How a head looks; what is not named is as seen, or drawn from the seed."""
+
+    hair: str | None = None
+    """bald, buzz, short, swept, parted, receding, curly, afro, bob or long."""
+    hair_colour: str | None = None
+    """black, brown, light_brown, blond, red, grey or white."""
+    eyes: str | None = None
+    """brown, dark, hazel, green, blue or grey."""
+    clothes: str | None = None
+    """tee, vneck, shirt, turtleneck or hoodie."""
+    clothes_colour: str | None = None
+    """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PersonOptions(RenderOptions):
+class PersonOptions(LookChoices, RenderOptions):
     """Options of `pica capture person`. What is not named is drawn from the seed."""
 
     out: Path
@@ -130,18 +146,8 @@ class PersonOptions(RenderOptions):
     """Years, 18 to 90."""
     skin: float | None = None
     """Tone of the skin, 1 (lightest) to 6 (darkest)."""
-    hair: str | None = None
-    """bald, buzz, short, swept, parted, receding, curly, afro, bob or long."""
-    hair_colour: str | None = None
-    """black, brown, light_brown, blond, red, grey or white."""
     beard: str | None = None
     """none or stubble."""
-    eyes: str | None = None
-    """brown, dark, hazel, green, blue or grey."""
-    clothes: str | None = None
-    """tee, vneck, shirt, turtleneck or hoodie."""
-    clothes_colour: str | None = None
-    """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
 
     def choose(self) -> Person:
         """The person that is meant."""
@@ -207,23 +213,13 @@ def _tell(console: Console, about: dict[str, Any]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeChoices:
+class MeChoices(LookChoices):
     """What a real person's head is made of, and what is chosen for it."""
 
     scan: Path | None = None
     """A scan of the head: a .glb, .gltf, .obj or .ply file with its texture."""
     texture: Path | None = None
     """An image to use instead of the scan's own."""
-    hair: str | None = None
-    """bald, buzz, short, swept, parted, receding, curly, afro, bob or long; by default as seen."""
-    hair_colour: str | None = None
-    """black, brown, light_brown, blond, red, grey or white; by default as seen."""
-    eyes: str | None = None
-    """brown, dark, hazel, green, blue or grey; by default as seen."""
-    clothes: str | None = None
-    """tee, vneck, shirt, turtleneck or hoodie."""
-    clothes_colour: str | None = None
-    """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
     yes: bool = False
     """The person agrees that an avatar is made of them; without it, you are asked."""
 

@@ -133,7 +133,7 @@ def test_calibrate_keeps_a_person_and_joining_under_that_name_uses_it(
 
     with playing((port, packet)):
         options = CalibrateOptions(
-            source=f"livelink:{port}", name="Ada", seconds=0.5, eyes_closed=0.5, gain=1.5
+            source=f"livelink:{port}", name="Ada", seconds=0.5, eyes_closed=0.5
         )
         result = calibrate(options)
     assert result["neutral"] == {"mouthSmileLeft": 0.25}
@@ -141,4 +141,3 @@ def test_calibrate_keeps_a_person_and_joining_under_that_name_uses_it(
     stored = load_calibration("Ada", "livelink")
     assert stored is not None
     assert stored.lid_open == pytest.approx((0.05, 0.05), abs=0.01)
-    assert stored.gain == 1.5

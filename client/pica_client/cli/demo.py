@@ -28,18 +28,14 @@ VIEWER_NAME = "viewer"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DemoCallConfig(local_call.LocalCallConfig):
-    """The call of a demo."""
-
-    has_voices: Annotated[bool, Parameter(name="voices")] = True
-    """Let the senders speak by turns, with the sentences that ship."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class DemoConfig:
     """What to show and where to put it; the options of `pica demo`."""
 
-    call: Annotated[DemoCallConfig, Parameter(name="*")] = field(default_factory=DemoCallConfig)
+    call: Annotated[local_call.LocalCallConfig, Parameter(name="*")] = field(
+        default_factory=local_call.LocalCallConfig
+    )
+    has_voices: Annotated[bool, Parameter(name="voices")] = True
+    """Let the senders speak by turns, with the sentences that ship."""
     seconds: float = 20.0
     """How long the call is drawn."""
     headless: bool = False
@@ -90,7 +86,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
         config.out.mkdir(parents=True, exist_ok=True)
         film.unlink(missing_ok=True)
     with closing(AvatarLibrary()) as library, Children() as children:
-        stage = local_call.LocalCall(config.call, library, children)
+        stage = local_call.LocalCall(config.call, library, children, has_voices=config.has_voices)
         viewer = children.start("viewer", *_view_arguments(config, stage))
         _watch(config, stage, viewer)
         shown = viewer.result()

@@ -7,7 +7,6 @@ import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -56,7 +55,7 @@ def load_module(name: str) -> Any:
 
 
 def examine(load: Callable[[str], Any] = load_module, *, has_display: bool) -> list[Finding]:
-    """Look at every extra, every device and the avatars.
+    """Look at every extra and every device.
 
     Args:
         has_display: A window can be expected to open.
@@ -67,7 +66,6 @@ def examine(load: Callable[[str], Any] = load_module, *, has_display: bool) -> l
         _graphics(load),
         _training_device(load),
         _display(has_display),
-        _avatars(),
     ]
 
 
@@ -126,14 +124,6 @@ def _display(is_there: bool) -> Finding:
         return Finding("display", "ready", "the environment names one; it was not tried")
     fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
     return Finding("display", "missing", "none", fix)
-
-
-def _avatars() -> Finding:
-    folder = Path(str(resources.files("pica_core") / "avatars"))
-    names = sorted(path.stem for path in folder.glob("*.pica"))  # what reads them needs numpy
-    if names:
-        return Finding("avatars", "ready", ", ".join(names))
-    return Finding("avatars", "missing", "none ship with this build", "--avatar FILE")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import OptionError, SourceError, check_ranges
-from pica_client.sources.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S, save_calibration
+from pica_client.sources.calibration import MAX_SOUND_OFFSET_S, save_calibration
 from pica_client.sources.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live_face import TrackerSample, yaw_pitch_roll_from_rotation_vector
 from pica_client.sources.registry import (
@@ -67,9 +67,6 @@ class CalibrateOptions:
     """How long to look at the face at rest."""
     eyes_closed: float = 2.0
     """How long to look at closed eyes after that; 0 leaves it out."""
-    gain: float = 1.0
-    """Stronger movements of all but lids and gaze, 1 to 2: shapes are multiplied by it and stay
-    within 1. It makes what the tracker takes for a movement stronger, too."""
     sound_offset: float = 0.0
     """How much later the tracker sees your mouth than the microphone hears it, seconds: raise it
     where the others see your lips move after your voice."""
@@ -223,7 +220,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
     if not options.seconds > 0:
         raise OptionError(f"seconds is {options.seconds:g}; above 0 is needed")
     limit = MAX_SOUND_OFFSET_S
-    check_ranges(options, gain=(1, MAX_GAIN), sound_offset=(-limit, limit))
+    check_ranges(options, sound_offset=(-limit, limit))
     kind, _ = split_source(options.source)
     samples: list[FloatArray] = []
 
@@ -250,11 +247,8 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
             time.sleep(1.0)
             closed = gather(options.eyes_closed)
             say("open them again")
-    calibration = replace(
-        calibration_of_samples(at_rest, closed),
-        gain=options.gain,
-        sound_offset_s=options.sound_offset,
-    )
+    found = calibration_of_samples(at_rest, closed)
+    calibration = replace(found, sound_offset_s=options.sound_offset)
     path = save_calibration(options.name, kind, calibration)
     taken = {
         name: round(value, 3)
@@ -268,7 +262,6 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         "neutral": taken,
         "lid_open": list(calibration.lid_open),
         "lid_closed": list(calibration.lid_closed),
-        "gain": calibration.gain,
     }
 
 

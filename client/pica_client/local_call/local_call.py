@@ -17,7 +17,6 @@ from pica_client.local_call.processes import Child, Children, end_all
 from pica_client.publish import SenderConfig
 from pica_client.sources import open_source, start_later
 from pica_client.voice.opus import available
-from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
 NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
 ROOM = "demo"
@@ -52,17 +51,13 @@ class LocalCallConfig:
     """Names or files of avatars, separated by commas, dealt in turn; by default the shipped."""
     fps: float = 30.0
     """Frames a second of each sender."""
-    quality: int = DEFAULT_QUALITY
-    """Fineness of the coded streams, 0 (coarse) to 7 (fine)."""
-    has_voices: Annotated[bool, Parameter(name="voices")] = False
-    """Let them speak by turns, with the sentences that ship."""
     is_encrypted: Annotated[bool, Parameter(name="encrypt")] = False
     """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.peers <= 15:
             raise OptionError(f"peers is {self.peers}; 1 to 15 fit the room")
-        SenderConfig(fps=self.fps, quality=self.quality)  # checks them
+        SenderConfig(fps=self.fps)  # checks it
 
 
 class LocalCall:
@@ -82,7 +77,10 @@ class LocalCall:
         config: LocalCallConfig,
         library: AvatarLibrary,
         children: Children,
+        *,
+        has_voices: bool = False,
     ) -> None:
+        """Start; `has_voices` lets the senders speak by turns, where there is Opus."""
         sources = peer_sources(config.source, config.peers)
         for source in dict.fromkeys(sources):
             open_source(source)  # one clear error here instead of one per sender
@@ -98,7 +96,7 @@ class LocalCall:
         self.secret_arguments = [] if secret is None else ["--secret-file", str(secret)]
         self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
-        has_voices = config.has_voices and available() is None
+        has_voices &= available() is None
         for index, (name, source) in enumerate(zip(names, sources, strict=True)):
             self.senders[name] = children.start(
                 f"sender {name}",
@@ -107,7 +105,6 @@ class LocalCall:
                 *("--fps", f"{config.fps:g}"),
                 *("--give-avatar", "no"),  # the viewer has the same files
                 *(["--voice", f"speech#{index + 1}/{config.peers}"] if has_voices else []),
-                *("--quality", str(config.quality)),
                 *self.secret_arguments,
             )
 

@@ -24,8 +24,8 @@ MAX_NEUTRAL: Final = 0.6
 """Highest neutral taken away (chosen): beyond it the rest of the range would be noise."""
 MIN_LID_RANGE: Final = 0.2
 """Least difference between open and closed lids; less is no closed eye."""
-MAX_GAIN: Final = 2.0
-"""More would make cross-talk of the tracker into a movement."""
+MAX_VALUE: Final = 2.0
+"""Beyond it no tracker's value lies."""
 MAX_SOUND_OFFSET_S: Final = 0.5
 BLINKS: Final = (ARKIT_INDEX["eyeBlinkLeft"], ARKIT_INDEX["eyeBlinkRight"])
 GAZE: Final[BoolArray] = np.array([name.startswith("eyeLook") for name in ARKIT_NAMES])
@@ -48,19 +48,15 @@ class Calibration:
     """eyeBlinkLeft and eyeBlinkRight with open eyes."""
     lid_closed: tuple[float, float] = (1.0, 1.0)
     """The same with closed eyes."""
-    gain: float = 1.0
-    """What all shapes but lids and gaze are multiplied by, 1 to 2."""
     sound_offset_s: float = 0.0
     """How much later the tracker sees a mouth than the microphone hears it."""
 
     def __post_init__(self) -> None:
-        numbers = np.array([*self.neutral, *self.lid_open, *self.lid_closed, self.gain])
-        if len(self.neutral) != NUM_ARKIT or len(numbers) != NUM_ARKIT + 5:
+        numbers = np.array([*self.neutral, *self.lid_open, *self.lid_closed])
+        if len(self.neutral) != NUM_ARKIT or len(numbers) != NUM_ARKIT + 4:
             raise SourceError(f"a calibration has {NUM_ARKIT} neutral values and two of each lid")
-        if not (np.abs(numbers) <= MAX_GAIN).all() or self.gain < 1:
-            raise SourceError(
-                f"a calibration holds a value beyond ±{MAX_GAIN:g}, or a gain below 1"
-            )
+        if not (np.abs(numbers) <= MAX_VALUE).all():
+            raise SourceError(f"a calibration holds a value beyond ±{MAX_VALUE:g}")
         if not abs(self.sound_offset_s) <= MAX_SOUND_OFFSET_S:
             raise SourceError(f"a sound offset of {self.sound_offset_s:g} s is no tracker's")
         if np.min(np.subtract(self.lid_closed, self.lid_open)) < MIN_LID_RANGE:
@@ -74,11 +70,11 @@ class Calibration:
         """
         neutral = np.clip(np.array(self.neutral, np.float32), 0, MAX_NEUTRAL)
         neutral[_KEPT] = 0
-        moved = (arkit - neutral) / (1 - neutral) * np.where(_KEPT, 1, self.gain)
+        moved = (arkit - neutral) / (1 - neutral)
         calibrated = np.where(neutral > 0, np.maximum(moved, 0), moved).astype(np.float32)
         opened, closed = np.array(self.lid_open), np.array(self.lid_closed)
         calibrated[_LIDS] = np.clip((arkit[_LIDS] - opened) / (closed - opened), 0, 1)
-        return np.minimum(calibrated, np.maximum(arkit, 1)) if self.gain > 1 else calibrated
+        return calibrated
 
 
 def calibrate(at_rest: Sequence[FloatArray], eyes_closed: Sequence[FloatArray]) -> Calibration:
@@ -118,7 +114,7 @@ def load_calibration(person: str, kind: str) -> Calibration | None:
     path = _path(person, kind)
     try:
         values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        for name in values.keys() - {"gain", "sound_offset_s"}:
+        for name in values.keys() - {"sound_offset_s"}:
             values[name] = tuple(values[name])
         return Calibration(**values)
     except FileNotFoundError:

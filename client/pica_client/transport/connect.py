@@ -307,29 +307,18 @@ def redirect_of(closed: Closed | None, current: str, config: LinkConfig) -> str:
     """
     if closed is None or closed.code != CloseCode.GOING_AWAY or not closed.url:
         return ""
-    refused = refused_redirect(closed.url, current, config)
-    if refused:
-        _log.warning("the relay redirects us; not following: %s", refused)
-    return "" if refused else closed.url
-
-
-def refused_redirect(target: str, current: str, config: LinkConfig) -> str:
-    """Return why we do not follow a redirect, or "".
-
-    Args:
-        target: The address, as `pica_protocol.limits.check_url` lets it through.
-        current: The address of the relay that names it.
-    """
-    there, own = urlsplit(target), urlsplit(config.url)
+    there, own = urlsplit(closed.url), urlsplit(config.url)
+    why = "it is neither a host of ours (--redirect-hosts) nor, over wss://, a name of its domain"
     if urlsplit(current).scheme == "wss" and there.scheme != "wss":
-        return "connections are not encrypted there"
-    if there.path.rstrip("/") not in ("", own.path.rstrip("/")) or there.query or there.fragment:
-        return "it has a path that is not ours"
-    if there.hostname in (own.hostname, *map(str.lower, config.redirect_hosts)):
-        return ""
-    if there.scheme == "wss" and _domain(there) == _domain(own) != "":
-        return ""
-    return "it is neither a host of ours (--redirect-hosts) nor, over wss://, a name of its domain"
+        why = "connections are not encrypted there"
+    elif there.path.rstrip("/") not in ("", own.path.rstrip("/")) or there.query or there.fragment:
+        why = "it has a path that is not ours"
+    elif there.hostname in (own.hostname, *map(str.lower, config.redirect_hosts)) or (
+        there.scheme == "wss" and _domain(there) == _domain(own) != ""
+    ):
+        return closed.url
+    _log.warning("the relay redirects us; not following: %s", why)
+    return ""
 
 
 def _domain(url: SplitResult) -> str:

@@ -12,7 +12,6 @@ import pytest
 
 from pica_client.cli.machine import examine
 from pica_command.table import COMMANDS, install_line, modules_by_extra
-from pica_core.avatar.file import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
@@ -55,7 +54,6 @@ def test_the_doctor_runs_on_the_base_install_and_names_every_extra() -> None:
         assert f"missing  extra {extra}: no " in said
         assert f"; to fix it: {install_line(extra)}\n" in said
     assert "missing  OpenGL: moderngl is not installed" in said
-    assert f"ready    avatars: {', '.join(path.stem for path in shipped_avatar_files())}" in said
 
 
 def test_on_the_base_install_every_command_names_the_extra_that_it_needs() -> None:
@@ -88,7 +86,7 @@ def load(name: str) -> Any:
         return BrokenGraphics
     if name == "soundcard":
         raise AssertionError
-    if name in ("moderngl", "torch", "av", "livekit"):
+    if name in ("moderngl", "torch", "livekit"):
         raise ModuleNotFoundError(name=name)
     return importlib.import_module(name)
 
@@ -101,7 +99,7 @@ def test_the_doctor_names_the_fix_for_each_lack() -> None:
     assert findings["OpenGL"].detail == "no context; install libegl1"
     assert findings["display"].level == "missing"
     assert findings["CUDA"].fix == install_line("train")
-    assert findings["extra video"].line.startswith("missing  extra video: no av; to fix it: ")
+    assert findings["extra train"].line.startswith("missing  extra train: no moderngl, torch; to")
     assert findings["extra echo"].detail == "no livekit"
     assert findings["extra voice"].detail == "installed, but no sound system answers"
     assert findings["extra voice"].fix == "start PulseAudio or PipeWire"

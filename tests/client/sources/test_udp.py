@@ -18,7 +18,6 @@ from pica_client.cli.track import Recorder
 from pica_client.errors import SourceError
 from pica_client.sources import open_source
 from pica_client.sources.calibration import (
-    Calibration,
     calibrate,
     load_calibration,
     save_calibration,
@@ -189,7 +188,7 @@ def test_a_calibration_is_made_kept_and_found_again(
     assert load_calibration("Ada B.", "vmc") is None
     assert path.stat().st_mode & 0o077 == 0
     assert made.lid_closed == pytest.approx((0.7, 0.7))
-    path.write_text('{"gain": 1.0, "neutral": [0.5]}')
+    path.write_text('{"neutral": [0.5]}')
     with pytest.raises(SourceError, match="pica calibrate livelink"):
         load_calibration("Ada B.", "livelink")
 
@@ -202,11 +201,3 @@ def test_shapes_that_a_tracker_does_not_send_have_no_neutral() -> None:
     assert calibration.neutral[ARKIT_INDEX["cheekPuff"]] == 0
     with pytest.raises(SourceError, match="did not close"):
         calibrate([arkit], [arkit])
-
-
-def test_gain_makes_movements_stronger_up_to_one_and_leaves_lids_and_gaze() -> None:
-    arkit = np.zeros(NUM_ARKIT, np.float32)
-    names = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft", "eyeLookUpLeft")
-    arkit[[ARKIT_INDEX[name] for name in names]] = (0.4, 0.9, 0.4, 0.4)
-    found = Calibration(gain=1.5).apply(arkit)[[ARKIT_INDEX[name] for name in names]]
-    assert found == pytest.approx([0.6, 1.0, 0.4, 0.4])

@@ -9,7 +9,7 @@ import pytest
 from pica_client.errors import OptionError
 from pica_client.publish import SenderConfig
 from pica_client.stats import summarise_ms, wire_bytes
-from pica_client.transport.connect import LinkConfig, refusal_of, refused_redirect, shown_name
+from pica_client.transport.connect import LinkConfig, redirect_of, refusal_of, shown_name
 from pica_protocol.errors import CloseCode
 from pica_protocol.session import Closed
 
@@ -83,6 +83,10 @@ def test_what_waiting_cannot_mend_is_final(code: CloseCode) -> None:
     assert str(refused) == f"ws://a: the relay said no: no (code {code})"
 
 
+def goodbye(url: str) -> Closed:
+    return Closed(code=CloseCode.GOING_AWAY, reason="", is_remote=True, url=url)
+
+
 @pytest.mark.parametrize(
     ("target", "complaint"),
     [
@@ -103,17 +107,16 @@ def test_what_waiting_cannot_mend_is_final(code: CloseCode) -> None:
     ],
 )
 def test_a_redirect_leads_to_hosts_of_the_configuration_or_of_the_domain(
-    target: str, complaint: str
+    target: str, complaint: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     config = LinkConfig(url="wss://a.relays.example.org/pica", redirect_hosts=("192.0.2.1",))
-    refused = refused_redirect(target, "ws://192.0.2.1:8765", config)
-    assert complaint in refused
-    assert bool(complaint) is bool(refused)
+    found = redirect_of(goodbye(target), "ws://192.0.2.1:8765", config)
+    assert found == ("" if complaint else target)
+    assert complaint in caplog.text
 
 
 def test_names_without_a_domain_are_no_relatives_and_encryption_is_not_given_up() -> None:
     for target, url in (("wss://evil.org", "wss://relay.org"), ("wss://relay-b", "wss://relay-a")):
-        assert refused_redirect(target, url, LinkConfig(url=url))
+        assert not redirect_of(goodbye(target), url, LinkConfig(url=url))
     config = LinkConfig(url="wss://a.example.org", redirect_hosts=("192.0.2.1",))
-    refused = refused_redirect("ws://192.0.2.1", config.url, config)
-    assert refused == "connections are not encrypted there"
+    assert not redirect_of(goodbye("ws://192.0.2.1"), config.url, config)
