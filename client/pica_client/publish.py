@@ -1,5 +1,5 @@
 """A face on its way out: source -> expression encoder -> payload -> frame, at a steady rate; and
-controls of it while it is sent: choose another source, calibrate the tracker, see what it sees.
+controls of it while it is sent: choose another source, see what the tracker sees.
 
 The link is run by an endpoint: a `Sender`, which does nothing else, or a
 `Receiver`, which also listens. Encoding takes a fraction of a millisecond and so
@@ -12,19 +12,12 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.sources import Source, Tracker, open_source
-from pica_client.sources.calibration import (
-    Calibration,
-    calibrate,
-    load_calibration,
-    save_calibration,
-)
-from pica_client.sources.registry import split_source
 from pica_client.sources.source import Unseen
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.connect import LinkConfig
@@ -280,18 +273,6 @@ def open_face(
     return Outgoing(face=face, giver=giver)
 
 
-REST_S: Final = 1.5
-"""How long a face at rest is looked at."""
-
-
-class TrackerPreview(NamedTuple):
-    """What the tracker sees, for its owner alone."""
-
-    has_face: bool
-    picture: Image | None
-    """A camera's, uint8 ``[H, W, 3]``; None of other trackers."""
-
-
 class FaceControls:
     """Steers one publisher. All methods are for one thread, which need not be the publisher's.
 
@@ -306,8 +287,6 @@ class FaceControls:
         self._person = person
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")
         self._opening: tuple[str, Future[None]] | None = None
-        self._resting: tuple[float, Tracker] | None = None  # until when, and what it sees
-        self._notices: list[str] = []
 
     def close(self) -> None:
         """Wait for a source that is being opened."""
@@ -316,53 +295,27 @@ class FaceControls:
     def choose(self, source: str) -> None:
         """Take another source once it is open; the one before stays where that fails."""
         if self._opening is None and source != self.source:
-            self._resting = None
             self._opening = source, self._pool.submit(self._open, source)
 
-    def calibrate(self, now: float) -> None:
-        """Look at the face at rest from now on, and make a calibration of that."""
-        source = self.publisher.source
-        if not isinstance(source, Tracker):
-            self._notices.append("Only a tracker is calibrated: choose one in the settings")
-            return
-        source.face.recent.clear()
-        self._resting = now + REST_S, source
-        self._notices.append("Look ahead, relaxed, with open eyes …")
+    def take_notice(self) -> str:
+        """What became of the choice, for the user, once that is known."""
+        if self._opening is None or not self._opening[1].done():
+            return ""
+        (source, opening), self._opening = self._opening, None
+        try:
+            opening.result()
+        except (SourceError, ModuleNotFoundError) as error:
+            return str(error)
+        self.source = source
+        return f"Your face comes from {source}"
 
-    def take_notices(self, now: float) -> list[str]:
-        """What became of what was asked for, since the last call; called in every frame."""
-        if self._opening is not None and self._opening[1].done():
-            (source, opening), self._opening = self._opening, None
-            try:
-                opening.result()
-                self.source = source
-                self._notices.append(f"Your face comes from {source}")
-            except (SourceError, ModuleNotFoundError) as error:
-                self._notices.append(str(error))
-        if self._resting is not None and now >= self._resting[0]:
-            self._notices.append(self._learn(self._resting[1]))
-            self._resting = None
-        notices, self._notices = self._notices, []
-        return notices
-
-    def preview(self) -> TrackerPreview | None:
-        """What the tracker sees; None where no tracker plays the face."""
+    def preview(self) -> tuple[bool, Image | None] | None:
+        """Whether the tracker sees a face, for its owner alone, and a camera's picture, uint8
+        ``[H, W, 3]``; None where no tracker plays the face."""
         source, frame = self.publisher.source, self.publisher.seen
         if not isinstance(source, Tracker) or frame is None:
             return None
-        return TrackerPreview(frame.has_face, source.preview())
-
-    def _learn(self, source: Tracker) -> str:
-        kind, _ = split_source(self.source)
-        before = load_calibration(self._person, kind) or Calibration()
-        try:
-            found = calibrate(list(source.face.recent), ())
-            found = replace(before, neutral=found.neutral, lid_open=found.lid_open)
-            save_calibration(self._person, kind, found)
-        except SourceError as error:
-            return f"Not calibrated: {error}"
-        source.face.calibration = found
-        return f"Calibrated for {self._person} and {kind}"
+        return frame.has_face, source.preview()
 
     def _open(self, source: str) -> None:
         self.publisher.replace_source(Unseen())  # both may want the same port or camera

@@ -105,7 +105,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def check_writable(path: Path | None) -> None:
-    """Refuse before the work what could not be written after it. Writes nothing.
+    """Refuse before the work what could not be written after it. Leaves all as it was.
 
     Args:
         path: The file; None: there will be none.
@@ -113,18 +113,12 @@ def check_writable(path: Path | None) -> None:
     Raises:
         OptionError: A folder stands there, its folder is not there, or it is not ours to write.
     """
-    if path is None:
-        return
-    folder = path.parent
-    if path.is_dir():
-        reason = "Is a directory; name a file in it"
-    elif not folder.is_dir():
-        reason = f"No such folder: {folder}; make it first"
-    elif not os.access(path if path.exists() else folder, os.W_OK):
-        reason = "Permission denied"
-    else:
-        return
-    raise OptionError(f"{path}: cannot be written: {reason}")
+    if path is not None:
+        is_new = not path.exists()
+        with writing(path):
+            path.open("ab").close()
+        if is_new:
+            path.unlink()
 
 
 def say(text: str) -> None:

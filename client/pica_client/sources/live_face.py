@@ -239,7 +239,6 @@ if fewer frames are made than the tracker says, and a face that comes is not los
 CLOCK_JUMP_S: Final = 1.0
 """A tracker's clock that is this far off has been reset."""
 KEPT_SAMPLES: Final = 64
-RECENT_SAMPLES: Final = 256
 USUAL_SHARE: Final = 0.9
 """Share of the samples that is waited for."""
 
@@ -258,13 +257,11 @@ class LiveFace:
     """One person's face, fed by a tracker.
 
     Attributes:
-        calibration: What is done to each sample; may be replaced at any time.
-        recent: The latest samples with a face as the tracker sent them, to calibrate by.
+        calibration: What is done to each sample.
     """
 
     def __init__(self, calibration: Calibration | None = None) -> None:
         self.calibration = calibration or Calibration()
-        self.recent: deque[FloatArray] = deque(maxlen=RECENT_SAMPLES)
         self._smoother, self._seat = Smoother(), Seat()
         self._times_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
         self._poses: deque[FloatArray] = deque(maxlen=KEPT_SAMPLES)
@@ -295,7 +292,6 @@ class LiveFace:
             self._returned_s = seen_s
         self._lost_s = None
         raw = np.nan_to_num(sample.arkit, nan=0.0)
-        self.recent.append(raw)
         arkit = self.calibration.apply(raw)
         step_s = min(gap_s, HOLD_S)
         offset_m = self._seat.offset_m(sample.place_m, step_s)

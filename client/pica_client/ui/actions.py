@@ -34,7 +34,6 @@ class Action(Enum):
 
     MUTE_VOICE = auto()
     MUTE_FACE = auto()
-    CALIBRATE = auto()
     NEXT_LAYOUT = auto()
     RESET_VIEW = auto()
     RECORD = auto()
@@ -141,7 +140,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         off=(icons.ICON_FA_FACE_SMILE, "Hide your face", "plain"),
         on=(icons.ICON_FA_EYE_SLASH, "Show your face", "alert"),
     ),
-    Action.CALIBRATE: Row(keys=(_KEY.k,), title="calibrate the tracker", needs="face"),
     Action.PARTICIPANTS: _panel("participants", icons.ICON_FA_USER_GROUP, _KEY.u),
     Action.RECORD: Row(
         keys=(_KEY.v,),

@@ -19,7 +19,6 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
 from pica_client.ui.call_view import (
     UNKNOWN,
     CallView,
-    Notice,
     NoticeBoard,
     OwnFaceView,
     Panel,
@@ -98,7 +97,7 @@ class CallSurface:
 
     def notice(self, text: str, now: float) -> None:
         """Tell the user something for a few seconds."""
-        self._board.add(Notice(text, "accent"), now)
+        self._board.add((text, "accent"), now)
 
     def build(
         self,
@@ -115,8 +114,8 @@ class CallSurface:
             self._asked_s = now
             if self._ask_status is not None:
                 self.status = self._ask_status(now)
-            for text, tone in notices(self.status.news):
-                self._board.add(Notice(text, tone), now)
+            for line in notices(self.status.news):
+                self._board.add(line, now)
         view = CallView(
             people=self._people(now, scene, presenter),
             status=self.status,

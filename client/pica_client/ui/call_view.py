@@ -10,11 +10,10 @@ for:
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
 from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus
-from pica_client.publish import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import Tone
@@ -29,25 +28,22 @@ MAX_NOTICES: Final = 3
 """Shown at once; one more drops the oldest."""
 
 
-class Notice(NamedTuple):
-    """One line that is shown for a few seconds."""
-
-    text: str
-    tone: Tone = "plain"
+Line = tuple[str, Tone]
+"""Something that is said, and how loud."""
 
 
 class NoticeBoard:
     """Keeps the notices that are shown."""
 
     def __init__(self) -> None:
-        self._notices: list[tuple[Notice, float]] = []
+        self._notices: list[tuple[Line, float]] = []
 
-    def add(self, notice: Notice, now: float) -> None:
+    def add(self, notice: Line, now: float) -> None:
         """Show a notice from `now` on, seconds; the same text again only stays longer."""
         others = [each for each in self._notices if each[0] != notice]
         self._notices = [*others, (notice, now + NOTICE_S)][-MAX_NOTICES:]
 
-    def shown(self, now: float) -> tuple[Notice, ...]:
+    def shown(self, now: float) -> tuple[Line, ...]:
         """Return the notices of this moment, the oldest first."""
         self._notices = [each for each in self._notices if now < each[1]]
         return tuple(notice for notice, _ in self._notices)
@@ -76,10 +72,12 @@ class OwnFaceView:
     """What the others see, as a number of the surface; None before there is a picture."""
     source: str = ""
     """What plays it."""
-    seen: TrackerPreview | None = None
-    """What its tracker sees; None without a tracker."""
+    is_seen: bool | None = None
+    """Whether its tracker sees a face; None without a tracker."""
     camera: int | None = None
     """What its camera sees, as a number of the surface."""
+    aspect: float = 1.0
+    """Width by height of that."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +87,7 @@ class CallView:
     people: tuple[PersonView, ...] = ()
     """All participants with a face, in the order of their seats."""
     status: CallStatus = field(default_factory=CallStatus)
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[Line, ...] = ()
     """What was just done, and what just happened, the oldest first."""
     has_pointer: bool = True
     """There is a window with a pointer, and so a control bar."""

@@ -13,7 +13,7 @@ from pica_client.call.status import duration_text, joined_names, recorders
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Row
-from pica_client.ui.call_view import CallView, PersonView
+from pica_client.ui.call_view import CallView, Line, PersonView
 from pica_client.ui.side import side_share
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import (
@@ -61,7 +61,6 @@ NAME_PADDING = (8.0, 3.0)
 DOT_PT = 18.0
 """What a dot and the gap behind it take."""
 SIGN_FLAGS = FIXED | imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_bring_to_front_on_focus
-Line = tuple[str, Tone]
 
 
 def free_shares(state: ViewState, call: CallView) -> FreeShares:
@@ -177,7 +176,7 @@ def own_signs(state: ViewState, call: CallView) -> list[Line]:
     """Return how the user's own face and voice are sent; nothing of what there is none of."""
     found: list[Line] = []
     is_sent = state.own_face == "sent" and call.status.is_connected
-    if is_sent and call.own.seen is not None and not call.own.seen.has_face:
+    if is_sent and call.own.is_seen is False:
         found.append(("Your tracker sees no face", "warning"))
     elif is_sent:
         found.append(("Your face is sent", "good"))
@@ -201,7 +200,7 @@ def signs(state: ViewState, call: CallView) -> None:
     found, top = banner(call), edge
     # A notice keeps its window, which knows its height from its second frame on.
     middle = [("banner", found)] if found else []
-    for name, line in (*middle, *((each.text, each) for each in call.notices)):
+    for name, line in (*middle, *((line[0], line) for line in call.notices)):
         place = (columns / 2, top)
         top += _sign(name, line, place, (0.5, 0.0), columns / 2) + step / 6
     if state.is_recording:
@@ -243,8 +242,7 @@ def own_face_height(state: ViewState) -> int:
 def own_face(state: ViewState, call: CallView) -> None:
     """The user's own face at the lower left, mirrored, and beside it what a camera sees."""
     own, height = call.own, own_face_height(state)
-    picture = None if own.seen is None else own.seen.picture
-    if not height or (own.texture is None and picture is None):
+    if not height or (own.texture is None and own.camera is None):
         return
     place = (px(EDGE_PT), _own_bottom() - px(SIGN_PT))
     flags = SIGN_FLAGS | imgui.WindowFlags_.no_background
@@ -256,9 +254,8 @@ def own_face(state: ViewState, call: CallView) -> None:
             size = (round(ASPECT * height), height)
             imgui.image(imgui.ImTextureRef(own.texture), size, (1, 1), (0, 0))
             imgui.same_line()
-        if own.camera is not None and picture is not None:
-            rows, columns = picture.shape[:2]
-            imgui.image(imgui.ImTextureRef(own.camera), (columns / rows * height, height))
+        if own.camera is not None:
+            imgui.image(imgui.ImTextureRef(own.camera), (own.aspect * height, height))
     imgui.pop_style_var(2)
 
 

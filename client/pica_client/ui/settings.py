@@ -6,10 +6,10 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from pica_client.sources.source import PERFORMANCES
-from pica_client.ui.actions import ACTIONS, TALK_KEY, Action
+from pica_client.ui.actions import TALK_KEY
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
-from pica_client.ui.widgets import TONES, Tone, action_button, choice_of, note, px
+from pica_client.ui.widgets import TONES, Tone, choice_of, note, px
 from pica_client.voice.sound.settings import DeviceState, SoundState
 
 NO_VOICE, MICROPHONE = "none", "mic"
@@ -113,9 +113,6 @@ def _you(state: ViewState, call: CallView) -> None:
     source = choice_of("##source", [each for each in SOURCES if each[0]], before)
     if source != before:
         state.source = source
-    calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
-    if call.own.seen and action_button(calibrate):
-        state.requests.append(Action.CALIBRATE)
 
 
 def _shown(state: ViewState) -> None:

@@ -358,7 +358,7 @@ class Viewer(Closing):
         """Return the own face; its picture if there is room for it."""
         if self._controls is None or self._self_view is None:
             return OwnFaceView()
-        for notice in self._controls.take_notices(now):
+        if notice := self._controls.take_notice():
             self._panels.notice(notice, now)
         height = own_face_height(self.state)
         height_px = round(height * self._pixels_a_unit)
@@ -381,8 +381,6 @@ class Viewer(Closing):
                 self._panels.notice(notice, now)
             case Action.FULL_SCREEN if self._window is not None:
                 self._window.toggle_full_screen()
-            case Action.CALIBRATE if self._controls is not None:
-                self._controls.calibrate(now)
             case Action.COPY_INVITATION:
                 imgui.set_clipboard_text(self._panels.status.invitation)
                 self._panels.notice("Invitation copied", now)
@@ -442,12 +440,12 @@ class SelfView:
         """Return what there is to see on a picture so many pixels high."""
         if height_px and now - self._looked_s >= OWN_PERIOD_S:
             self._looked_s = now
-            texture, seen = self.draw(now, height_px), controls.preview()
-            picture = None if seen is None else seen.picture
+            texture, (sees, picture) = self.draw(now, height_px), controls.preview() or (None, None)
             self._shown = OwnFaceView(
                 texture=None if texture is None else surface.adopt("own face", texture),
                 source=controls.source,
-                seen=seen,
+                is_seen=sees,
                 camera=None if picture is None else surface.show("camera", picture),
+                aspect=1.0 if picture is None else picture.shape[1] / picture.shape[0],
             )
         return self._shown if height_px else OwnFaceView()

@@ -24,7 +24,7 @@ from pica_client.sources.calibration import (
 )
 from pica_client.sources.live_face import TrackerSample
 from pica_client.sources.registry import open_live
-from pica_client.sources.tracker import UdpTracker
+from pica_client.sources.tracker import SampleTap, UdpTracker
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 pytestmark = pytest.mark.unit
@@ -63,17 +63,23 @@ def stream(phone: socket.socket, tracker: UdpTracker, jaw: float) -> None:
     until(shows)
 
 
+def noting(jaws: list[float]) -> SampleTap:
+    """A tap that notes how far the jaw is open."""
+    return lambda sample, arrived_s: jaws.append(float(sample.arkit[JAW]))
+
+
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
+    jaws: list[float] = []
     with (
-        closing(UdpTracker("ifacialmocap", 0, phone="127.0.0.1")) as tracker,
+        closing(UdpTracker("ifacialmocap", 0, None, noting(jaws), phone="127.0.0.1")) as tracker,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
     ):
         other.bind(("127.0.0.2", 0))
-        line = tracker_packets.ifacialmocap({"jawOpen": 60})
-        for each in (other, phone):
-            each.sendto(line, ("127.0.0.1", tracker.port))
-        until(lambda: bool(tracker.sender))
-        assert (tracker.sender, len(tracker.face.recent)) == ("127.0.0.1", 1)
+        for each, jaw in ((other, 90), (phone, 60)):
+            packet = tracker_packets.ifacialmocap({"jawOpen": jaw})
+            each.sendto(packet, ("127.0.0.1", tracker.port))
+        until(lambda: bool(jaws))
+        assert jaws == pytest.approx([0.6])
 
 
 def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:
@@ -92,8 +98,9 @@ def test_a_silent_tracker_says_where_it_must_send_to(monkeypatch: pytest.MonkeyP
 
 
 def test_the_first_address_is_the_tracker_until_it_is_silent(phone: socket.socket) -> None:
+    jaws: list[float] = []
     with (
-        closing(open_live("livelink", "0")) as tracker,
+        closing(open_live("livelink", "0", tap=noting(jaws))) as tracker,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
     ):
         other.bind(("127.0.0.2", 0))
@@ -103,7 +110,7 @@ def test_the_first_address_is_the_tracker_until_it_is_silent(phone: socket.socke
         )
         until(lambda: bool(tracker.refused))
         assert tracker.sender == "127.0.0.1"
-        assert max(face[JAW] for face in tracker.face.recent) == pytest.approx(0.5)
+        assert max(jaws) == pytest.approx(0.5)
 
 
 def test_a_tracker_in_the_wrong_mode_is_told_so(

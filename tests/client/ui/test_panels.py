@@ -15,12 +15,10 @@ from imgui_bundle import imgui
 from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus
-from pica_client.publish import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import (
     NOTICE_S,
     CallView,
-    Notice,
     NoticeBoard,
     OwnFaceView,
     Panel,
@@ -129,7 +127,7 @@ def test_one_line_at_the_top_says_what_matters_most(status: CallStatus, said: st
 
 def test_signs_say_how_the_own_face_is_sent() -> None:
     lost = replace(CALL, status=replace(STATUS, is_connected=False))
-    unseen = replace(CALL, own=OwnFaceView(seen=TrackerPreview(False, None)))
+    unseen = replace(CALL, own=OwnFaceView(is_seen=False))
     assert own_signs(STATE, CALL) == [("Your face is sent", "good")]
     assert own_signs(STATE, lost) == [("Your face is not sent", "alert")]
     assert own_signs(STATE, unseen) == [("Your tracker sees no face", "warning")]
@@ -149,7 +147,7 @@ def test_room_and_recordings_stand_on_the_picture() -> None:
 
 def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
     long = "No sound: " + "something is away, " * 9
-    call = replace(CALL, notices=(Notice(long, "alert"), Notice("Ada left", "plain")))
+    call = replace(CALL, notices=((long, "alert"), ("Ada left", "plain")))
     for size in ((480, 360), (960, 540), (2560, 1440)):
         with open_hand(size) as hand:
             for _ in range(3):
@@ -180,9 +178,9 @@ def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
 def test_notices_stand_for_a_while_and_the_oldest_gives_way() -> None:
     board = NoticeBoard()
     for number, text in enumerate(("one", "two", "one", "three", "four")):
-        board.add(Notice(text), now=float(number))
-    assert [each.text for each in board.shown(5.0)] == ["one", "three", "four"]
-    assert [each.text for each in board.shown(3.5 + NOTICE_S)] == ["four"]
+        board.add((text, "plain"), now=float(number))
+    assert [text for text, _ in board.shown(5.0)] == ["one", "three", "four"]
+    assert [text for text, _ in board.shown(3.5 + NOTICE_S)] == ["four"]
 
 
 SCRIPTS = ["Ada", "Ольга", "Ελένη", "李小龍 さくら 김", "שרה", "مريم", "กานดา", "आशा", "Ani 😀🎉"]
@@ -313,10 +311,9 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
 
 def test_the_source_of_the_face_is_chosen_during_the_call(hand: Hand) -> None:
     state = replace(SETTINGS, source="livelink")
-    call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, None)))
+    call = replace(CALL, own=OwnFaceView(source="livelink", is_seen=True))
     clicking(hand, side_panel, state, call, "##source", "VTuber")
     assert state.source == "vmc"
-    assert clicking(hand, side_panel, state, call, "Calibrate") == [Action.CALIBRATE]
 
 
 def test_devices_are_changed_during_a_call(hand: Hand) -> None:
@@ -374,7 +371,7 @@ def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
     call = replace(
         CALL,
         status=replace(STATUS, participants=(ME, *many), code="12345 " * 6, is_encrypted=True),
-        notices=tuple(Notice("n" * 200, "alert") for _ in range(3)),
+        notices=(("n" * 200, "alert"),) * 3,
     )
     with open_hand(size) as hand:
         for side in get_args(Side):
