@@ -120,7 +120,6 @@ async def test_a_poor_connection_is_told_to_its_owner_and_where_the_face_stands_
             assert ada.status.own_quality == "poor"
             quality = {member.name: member.quality for member in ben.status.participants}
             assert (quality["ada"], quality["cho"]) == ("good", "poor")
-            assert 1000 < (ben.status.participants[1].payload_bps or 0.0) < 200_000
             assert ben.status.is_connected
             for person in people:
                 person.receiver.stop()

@@ -12,7 +12,7 @@ import pytest
 from imgui_bundle import imgui
 
 from helpers.hand import frame, press
-from pica_client.ui.actions import keyboard
+from pica_client.ui.actions import Action, keyboard
 from pica_client.ui.state import ViewState
 from pica_client.ui.window import ON_PICTURE, Surface, Window
 from pica_core.errors import GraphicsError
@@ -37,7 +37,8 @@ with Window((480, 360)) as window:
     for step in range(200):
         window.poll()
         window.begin(step / 50)
-        for request in keyboard(ViewState()):
+        keyboard(state := ViewState())
+        for request in state.requests:
             print(request.name)
         window.surface.end()
         window.show(lambda target: None)
@@ -91,7 +92,7 @@ def test_keys_go_by_what_is_printed_on_them() -> None:
 
 def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
     with Surface() as surface:
-        found = []
+        state = ViewState()
         for step, key in enumerate((None, None, None, imgui.Key.l, imgui.Key.escape)):
             if key is not None:
                 press(key)(surface.io)
@@ -100,8 +101,8 @@ def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
                 imgui.set_keyboard_focus_here()
                 imgui.input_text("##field", "")
                 imgui.end()
-                found += [each.name for each in keyboard(ViewState())]
-    assert found == ["CLOSE"]
+                keyboard(state)
+    assert state.requests == [Action.CLOSE]
 
 
 def test_signs_and_panels_are_painted_where_they_are_wanted() -> None:
