@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.cli.demo import DemoCallConfig, DemoConfig, run_demo
+from pica_client.cli.demo import DemoConfig, run_demo
+from pica_client.local_call.local_call import LocalCallConfig
 from pica_core.avatar.file import save_avatar
 
 pytestmark = pytest.mark.realtime
@@ -35,7 +36,7 @@ def test_a_short_demo_draws_everybody_and_writes_its_files(
     (out / "call.mp4").write_text("of the demo before")
     stats = run_demo(
         DemoConfig(
-            call=DemoCallConfig(peers=2, avatar=str(avatar_file)),
+            call=LocalCallConfig(peers=2, avatar=str(avatar_file)),
             seconds=2,
             headless=True,
             size="192x108",

@@ -258,24 +258,6 @@ async def send_away(websocket: ServerConnection, url: str, *, joins: bool) -> No
     await websocket.close(CloseCode.GOING_AWAY)
 
 
-@in_virtual_time
-async def test_a_link_that_joins_goes_at_once_to_the_relay_that_has_its_room() -> None:
-    async def answer(websocket: ServerConnection) -> None:
-        await send_away(websocket, "ws://other:8766", joins=False)
-
-    loop = asyncio.get_running_loop()
-    async with (
-        Relay(RelayConfig(port=8766)),
-        serve(answer, "relay", 8765, subprotocols=PICA, compression=None),
-        running_link(redirect_hosts=("other",)) as (link, joined),
-    ):
-        start = loop.time()
-        await joined.wait()
-        assert loop.time() - start < 0.1
-        assert link.url == "ws://other:8766"
-        assert link.reconnects == 0
-
-
 @pytest.mark.parametrize("joins", [False, True])
 @in_virtual_time
 async def test_relays_that_send_a_link_to_and_fro_make_it_slower(joins: bool) -> None:

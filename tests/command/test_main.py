@@ -129,18 +129,6 @@ def test_the_list_has_a_line_for_every_command() -> None:
         assert f"  {name:{width}}{row.summary()}\n" in f"{text}\n"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_a_command_has_no_leftovers_of_the_code(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*name.split(), "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.startswith(f"Usage: pica {name} ")
-    for leftover in ("``", "Raises:", "Returns:", "Args:", "None]"):
-        assert leftover not in shown
-
-
 @pytest.mark.parametrize("words", [["--help"], ["relay", "--help"]])
 def test_a_relay_and_the_list_of_commands_import_no_numpy(words: list[str]) -> None:
     code = (

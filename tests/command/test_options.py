@@ -1,10 +1,10 @@
 """Options from flags, variables and a TOML file, and one line for what is wrong in them."""
 
 import os
-from collections.abc import Callable, Iterator
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 from unittest.mock import patch
 
 import pytest
@@ -197,21 +197,3 @@ def test_help_is_there_whatever_file_and_environment_hold(
     with patch.dict(os.environ, PICA_BREW_CUPS="ten"):
         assert line.read(["--help"]) is None
     assert "Number of cups, 1 to 9. [default: 2]" in capsys.readouterr().out
-
-
-def groups_in(kind: type) -> Iterator[tuple[str, Any, type]]:
-    """Every group of options in a dataclass: its name, its default and its type."""
-    hints = get_type_hints(kind)
-    for each in fields(kind):
-        if is_dataclass(hints[each.name]) and each.default_factory is not MISSING:
-            yield each.name, each.default_factory(), hints[each.name]
-            yield from groups_in(hints[each.name])
-
-
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "brew"])
-def test_the_default_of_a_group_is_that_of_its_fields(name: str) -> None:
-    """Of a group of which one option is given, the others come from its fields."""
-    hints = get_type_hints(COMMANDS[name].load())
-    for kind in (each for parameter, each in hints.items() if parameter != "return"):
-        for group, default, group_type in groups_in(kind):
-            assert default == group_type(), group

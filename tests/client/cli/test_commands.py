@@ -19,25 +19,15 @@ pytestmark = pytest.mark.unit
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["send", "--url", "http://x"], "url 'http://x' is no relay address"),
         (["send", "--fps", "1000"], "fps is 1000; 1 to 240 is allowed"),
-        (["send", "--room", "a b"], "room must be"),
-        (["send", "--source", "camera"], "source 'camera' is unknown; write csv:FILE"),
-        (["send", "--source", "csv:none.csv"], "none.csv: cannot be read"),
         (["send", "--source", "voice"], "source voice needs --voice mic or a WAV file"),
         (["view", "--url", "ws://x", "--send", "voice"], "source voice needs --voice mic"),
         (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
-        (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
-        (
-            ["view", "--headless", "--send", "performance:talk", "--own-avatar", "nobody"],
-            "avatar 'nobody' is unknown",
-        ),
         (
             ["view", "--headless", "--own-avatar", "nora"],
             "own-avatar is the look of your own face; to send one, add --send performance:talk",
         ),
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
-        (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
         (["view", "--avatar", "none.pica"], "none.pica: cannot be read"),
         (["view", "--expect", "-1"], "expect is -1; 0 to 63 is allowed"),
         (["view", "--record", "nowhere/a.mp4"], "nowhere/a.mp4: cannot be written"),
@@ -45,7 +35,6 @@ pytestmark = pytest.mark.unit
         (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
         (["bench", "call", "--seconds", "-1"], "seconds is -1; 0.1 to 600"),
-        (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
         (["bench", "voice", "--seconds", "8"], "seconds is 8; "),
         (["bench", "voice", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
     ],
@@ -70,13 +59,12 @@ def test_no_film_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert film.read_text() == "of yesterday"
 
 
-@pytest.mark.parametrize("num_bytes", [5000, 20_000])
 def test_a_truncated_avatar_is_named_with_the_fix(
-    num_bytes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "cut.pica"
     save_avatar(cut, make_toy_avatar())
-    cut.write_bytes(cut.read_bytes()[:num_bytes])
+    cut.write_bytes(cut.read_bytes()[:20_000])
     for command in ("send", "view"):
         assert main([command, "--avatar", str(cut)]) == 2
         (line,) = capsys.readouterr().err.strip().splitlines()

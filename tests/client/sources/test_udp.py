@@ -171,16 +171,6 @@ def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
     assert "Stream Head Rotation" in hints
 
 
-def test_a_film_that_begins_again_gets_no_advice_for_phones() -> None:
-    report = Recorder()
-    for arrived_s, sample in samples()[:80]:
-        report(sample, 3 * arrived_s if arrived_s > 101 else arrived_s)
-    for kind, is_phone in (("livelink", True), ("webcam", False)):
-        hints = " ".join(report.report(kind, "", Counter())["hints"])
-        for words in ("Wi-Fi", "cooler phone", "Stream Head"):
-            assert (words in hints) == is_phone, words
-
-
 def test_a_calibration_is_made_kept_and_found_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

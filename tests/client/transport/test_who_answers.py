@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
 
 import pytest
 
-from helpers.certificates import write_certificate
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
 from pica_client.transport.connect import LinkConfig, open_websocket, proxy_of
 from pica_client.transport.link import Link
-from pica_server.config import RelayConfig
-from pica_server.relay import Relay
 
 pytestmark = pytest.mark.call
 
@@ -43,20 +39,6 @@ async def test_a_stranger_is_quoted(answer: bytes, scheme: str, told: str) -> No
     async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
         assert told in await said_of(f"{scheme}://127.0.0.1:{port}")
-
-
-@pytest.mark.parametrize("speaks_tls", [False, True])
-@pytest.mark.asyncio
-async def test_a_relay_with_or_without_tls_is_met_with_the_other_scheme(
-    tmp_path: Path, speaks_tls: bool
-) -> None:
-    cert = write_certificate(tmp_path) if speaks_tls else None
-    key = cert.with_suffix(".key") if cert is not None else None
-    expected = "wss:// if it speaks TLS" if speaks_tls else "write ws:// if"
-    config = RelayConfig(port=0, avatar_store="none", tls_cert=cert, tls_key=key)
-    async with Relay(config) as relay:
-        port = relay.url.rpartition(":")[2]
-        assert expected in await said_of(f"{'ws' if speaks_tls else 'wss'}://127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("target", ["/admin", "ws://localhost:{port}/", "https://example.org/"])

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from pica_client.call.call import Reflection
-from pica_client.decode.pool import DecodePool
-from pica_client.decode.request import DecodeChoice
 from pica_client.publish import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.ui.viewer import SelfView
@@ -33,17 +31,12 @@ def send(reflection: Reflection, number: int) -> None:
     reflection.receive(coded, number * 33_333, now=number / 30)
 
 
-@pytest.mark.parametrize("decode", ["cpu", "gpu"])
-def test_ones_own_face_appears_once_it_is_sent_in_the_size_that_is_asked_for(
-    monkeypatch: pytest.MonkeyPatch, decode: DecodeChoice
-) -> None:
-    if decode == "gpu":
-        monkeypatch.delattr(DecodePool, "submit")
+def test_ones_own_face_appears_once_it_is_sent_in_the_size_that_is_asked_for() -> None:
     source = open_source("performance:talk")
     track = Publisher(SenderConfig(), source, AVATAR, "5" * 64).track
     reflection = Reflection(AVATAR, track)
     context = create_context()
-    view = SelfView(context, reflection, decode)
+    view = SelfView(context, reflection)
     try:
         assert view.draw(0.0, 60) is None
         for number in range(30):

@@ -87,21 +87,6 @@ def test_each_button_of_the_bar_gives_its_order_once(hand: Hand) -> None:
     assert not any("your face" in label for label in hand.places)
 
 
-@pytest.mark.parametrize(("size", "scale"), SIZES)
-def test_the_bar_keeps_to_the_picture_and_its_buttons_apart(
-    size: tuple[int, int], scale: float
-) -> None:
-    with open_hand(size, scale) as hand:
-        for _ in range(3):
-            hand.frame(lambda: control_bar(STATE, CALL))
-        rects = sorted(hand.places.values())
-    assert len(rects) == len(BUTTONS)
-    assert min(rect[0] for rect in rects) >= 0
-    assert max(rect[2] for rect in rects) <= size[0]
-    assert max(rect[3] for rect in rects) <= size[1]
-    assert all(left[2] <= right[0] for left, right in pairwise(rects))
-
-
 def test_leaving_is_asked_and_both_answers_are_buttons(hand: Hand) -> None:
     asking = ViewState(asks_to_leave=True)
     for label, asked, leaves in (("Stay", [Action.CLOSE], False), ("Leave", [], True)):
@@ -377,6 +362,9 @@ def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
         for side in get_args(Side):
             state = replace(LISTED, side=side)
             for _ in range(2):
-                for panel in (side_panel, signs, waiting_page):
+                for panel in (side_panel, signs, waiting_page, control_bar):
                     hand.frame(partial(panel, state, call))
                     assert all(right <= size[0] for _, _, right, _ in hand.places.values())
+            assert all(
+                left[2] <= right[0] for left, right in pairwise(sorted(hand.places.values()))
+            )

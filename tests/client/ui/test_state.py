@@ -43,12 +43,9 @@ def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: Preferen
     [
         "",
         "null",
-        "\\ud800",
         '{"layout": "pyramid"}',
         '{"window_size": [0, 5, 7]}',
-        '{"window_size": [0, "x"]}',
         '{"window_size": null}',
-        '{"sound": {"volume": "loud"}}',
         '{"sound": {"volume": 9}}',
         "[" * 20_000,
     ],

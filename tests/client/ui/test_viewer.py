@@ -19,7 +19,6 @@ from pica_client.call.status import CallStatus, FaceState, FaceStatus
 from pica_client.publish import FaceControls, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.ui.options import ViewOptions
-from pica_client.ui.state import ViewState
 from pica_client.ui.viewer import Viewer
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
@@ -179,43 +178,6 @@ def test_a_click_on_a_head_brings_it_forward() -> None:
         step_until_decoded(viewer)
         click(viewer, 400, 150, 2.0)
         assert viewer.state.pinned == 1
-
-
-def middle_of(viewer: Viewer, place: int) -> float:
-    """Where a head is from left to right, pixels of a picture 640 wide."""
-    return float(np.mean([x for x in range(640) if viewer.pick(x, 150) == place]))
-
-
-def test_who_comes_moves_the_others_aside_step_by_step() -> None:
-    source = Faces("ada")
-    with Viewer(source, replace(SMALL, size="640x360"), clock=lambda: 5.0) as viewer:
-        viewer.step(1.0)
-        assert middle_of(viewer, 0) == pytest.approx(320, abs=1)
-        source.present.append("grace")
-        source.avatar_of["grace"] = "toy"
-        ways = []
-        for frame in range(40):
-            viewer.step(1.05 + frame / 30)
-            ways.append(middle_of(viewer, 0))
-        steps = -np.diff([320.0, *ways])
-        assert (steps >= -1).all()
-        assert steps.max() < 0.35 * (320 - ways[-1])
-        assert ways[20] == pytest.approx(ways[-1], abs=1)
-        assert middle_of(viewer, 1) == pytest.approx(640 - ways[-1], abs=2)
-
-
-def test_the_help_covers_nobody() -> None:
-    source = Faces(*"abcde")
-    options = replace(SMALL, size="1280x720")
-    state = ViewState(layout="line")
-    with Viewer(source, options, state=state, clock=lambda: 5.0) as viewer:
-        do(viewer, *key("h"))
-        for step in range(3):
-            viewer.step(1.0 + step)
-        picked = {viewer.pick(x, y) for x in range(950, 1280, 10) for y in range(0, 460, 10)}
-        assert picked == {None}
-        places = [(x, y) for x in range(0, 950, 10) for y in range(180, 720, 10)]
-        assert {viewer.pick(x, y) for x, y in places} == {None, *range(5)}
 
 
 def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
