@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import ExifTags, Image, ImageDraw
 
 from pica_client.errors import SourceError
 from pica_client.sources.calibration import Calibration
@@ -177,9 +177,7 @@ def pictures(
                     taken_s = last_s
                 elif wait(0.0):
                     return
-                picture: Image.Image = frame.to_image()  # phones store theirs on their side
-                degrees = frame.rotation % 360
-                yield picture.rotate(degrees, expand=True) if degrees else picture, taken_s
+                yield _upright(frame, container.name), taken_s
         if not is_video or is_empty:
             return
         offset_s = last_s + 1 / 30
@@ -187,6 +185,30 @@ def pictures(
             av.FFmpegError
         ):  # a stream that cannot be rewound gives nothing more
             container.seek(0)
+
+
+def _upright(frame: Any, path: str) -> Image.Image:
+    """The picture of a frame; phones store theirs on their side, and mirrored."""
+    picture: Image.Image = frame.to_image()
+    degrees: int = frame.rotation
+    if _is_mirrored(frame, path):
+        picture, degrees = picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT), degrees + 180
+    return picture.rotate(degrees, expand=True) if degrees % 360 else picture
+
+
+def _is_mirrored(frame: Any, path: str) -> bool:
+    from av.sidedata.sidedata import Type
+
+    try:
+        matrix = frame.side_data.get(Type.DISPLAYMATRIX)
+    except ValueError:  # side data of a kind that PyAV does not know: a photo's EXIF
+        with contextlib.suppress(OSError), Image.open(path, formats=("JPEG",)) as photo:
+            return photo.getexif().get(ExifTags.Base.Orientation) in (2, 4, 5, 7)
+        return False
+    if matrix is None:
+        return False
+    a, b, _, c, d = np.frombuffer(matrix, np.int32)[:5].astype(np.float64)
+    return bool(a * d < b * c)
 
 
 PRESENT = 0.5

@@ -1,6 +1,7 @@
 """A webcam: its networks on a real face and on drawn ones, its camera, its bad days."""
 
 import hashlib
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -10,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 from scipy.spatial.transform import Rotation
 
 from helpers.face_networks import face_networks
@@ -170,6 +171,28 @@ def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
     assert first.getpixel((3, 0)) == (255, 0, 0)  # a quarter turn clockwise
     assert (first_s, second_s) == (0.0, 1.0)
     assert waits[0] < 0.5
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_photo_is_shown_as_its_camera_was_held_again_and_again(
+    tmp_path: Path, orientation: int
+) -> None:
+    pytest.importorskip("av")
+    exif, path = Image.Exif(), tmp_path / "photo.jpg"
+    exif[ExifTags.Base.Orientation] = orientation
+    stored = Image.new("RGB", (96, 48), (40, 40, 40))
+    stored.paste((230, 30, 30), (0, 0, 48, 16))
+    stored.save(path, exif=exif)
+
+    container = open_camera(str(path))
+    shown = list(itertools.islice(pictures(container, True, lambda seconds: False), 3))
+    container.close()
+
+    with Image.open(path) as photo:
+        wanted = np.asarray(ImageOps.exif_transpose(photo).convert("RGB"), np.int64)
+    for picture, _ in shown:
+        assert np.abs(np.asarray(picture, np.int64) - wanted).mean() < 3
+    assert len(shown) == 3
 
 
 class Blank:
