@@ -1,6 +1,5 @@
 """A webcam as a tracker. Its pictures stay in this process: what leaves it is the latent."""
 
-import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -163,7 +162,7 @@ def pictures(
     first_s: float | None = None  # films cut from longer ones, and streams, begin anywhere
     while True:
         is_empty = True
-        with contextlib.suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
+        with suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
             for frame in container.decode(video=0):
                 if frame.width * frame.height > MAX_PIXELS:
                     return
@@ -181,7 +180,7 @@ def pictures(
         if not is_video or is_empty:
             return
         offset_s = last_s + 1 / 30
-        with contextlib.suppress(
+        with suppress(
             av.FFmpegError
         ):  # a stream that cannot be rewound gives nothing more
             container.seek(0)
@@ -202,7 +201,7 @@ def _is_mirrored(frame: Any, path: str) -> bool:
     try:
         matrix = frame.side_data.get(Type.DISPLAYMATRIX)
     except ValueError:  # side data of a kind that PyAV does not know: a photo's EXIF
-        with contextlib.suppress(OSError), Image.open(path, formats=("JPEG",)) as photo:
+        with suppress(OSError), Image.open(path, formats=("JPEG",)) as photo:
             return photo.getexif().get(ExifTags.Base.Orientation) in (2, 4, 5, 7)
         return False
     if matrix is None:
