@@ -3,6 +3,18 @@
 import { createInterface } from "node:readline";
 
 const web = new URL("../../server/pica_server/web/", import.meta.url);
+// Node has no half floats yet.
+globalThis.Float16Array ??= class extends Float32Array {
+  static BYTES_PER_ELEMENT = 2;
+
+  constructor(buffer) {
+    super(Array.from(new Uint16Array(buffer), (bits) => {
+      const [exponent, fraction] = [(bits >> 10) & 31, bits & 1023];
+      return (bits & 0x8000 ? -1 : 1) * (exponent ? 2 ** (exponent - 25) * (1024 + fraction) : 2 ** -24 * fraction);
+    }));
+  }
+};
+
 const modules = {};
 const objects = [];
 
@@ -26,6 +38,7 @@ function write(value) {
   if (ArrayBuffer.isView(value)) return Array.from(value);
   if (Array.isArray(value)) return value.map(write);
   if (value === undefined) return null;
+  if (typeof value === "function") return { object: objects.push(value) - 1 };
   if (value === null || typeof value !== "object") return value;
   if (![Object.prototype, null].includes(Object.getPrototypeOf(value))) {
     return { object: objects.push(value) - 1 };

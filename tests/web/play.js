@@ -3,11 +3,10 @@ import { Head, Scheduler, seeHeads } from "../../server/pica_server/web/schedule
 import { openAvatar } from "../../server/pica_server/web/avatar.js";
 import { nearing, orbitLimits, planCamera, planSeats } from "../../server/pica_server/web/seats.js";
 import { clipFromWorld, headMatrix, viewDirection } from "../../server/pica_server/web/space.js";
-import { compose, sirenSource, specDefines } from "../../server/pica_server/web/glsl.js";
 
 /** Seats on their way from one plan to another, and the camera that is turned; all as flat lists. */
 export function seat(from, to, share, orbit, width, height, spans) {
-  const [start, goal] = [from, to].map(([layout, count, aspect, options]) => planSeats(layout, count, aspect, options));
+  const [start, goal] = [from, to].map((asked) => planSeats(...asked));
   const plan = nearing(start, goal, share);
   const limits = orbitLimits(plan, spans);
   const camera = planCamera(plan, orbit, width, height, limits);
@@ -15,40 +14,30 @@ export function seat(from, to, share, orbit, width, height, spans) {
 }
 
 export function pose(seat, rotation, translation, centre) {
-  const matrix = headMatrix(Float64Array.from(seat), rotation, translation);
+  const matrix = headMatrix(Float64Array.from(seat), [...rotation, ...translation]);
   return { matrix, view: viewDirection(matrix, centre) };
 }
 
-/** Plan frame after frame; what each head got. */
+/** Plan frame after frame, by given costs; what each head got. */
 export function schedule(avatars, camera, frames) {
-  const heads = avatars.map(({ levels, triangles, low, high }, index) => new Head(String(index), {
-    levels,
-    manifest: { bounds_min_m: low, bounds_max_m: high },
-    faces: (level) => ({ length: 3 * triangles[levels.indexOf(level)] }),
-  }));
-  const scheduler = new Scheduler();
-  return frames.map(({ now, budget, people, decodes, draw }) => {
+  const heads = avatars.map(({ triangles, low, high }, index) =>
+    new Head(String(index), { bounds_min_m: low, bounds_max_m: high }, triangles));
+  const costs = { decodeS: (level, decode) => costs.decodes[decode][level] };
+  const scheduler = new Scheduler(costs);
+  return frames.map(({ now, budget, people, draw, decodes }) => {
+    Object.assign(costs, { draw, decodes });
     people.forEach(({ matrix, latent, isListening }, index) => {
       heads[index].matrix = Float64Array.from(matrix);
       heads[index].latent = new Float32Array(256).fill(latent);
       heads[index].isListening = isListening;
     });
-    seeHeads(heads, [camera]);
-    const { costS, isShort, shadedPx } = scheduler.plan(heads, budget, now);
+    seeHeads(heads, camera);
+    const { costS, shadedPx } = scheduler.plan(heads, budget, now);
     for (const head of heads) head.request(now);
-    for (const [level, parts, seconds] of decodes) scheduler.costs.observeDecode(level, parts, seconds);
-    scheduler.costs.observeDraw(...draw);
-    const sights = heads.map(({ sight }) => [sight.visiblePx, sight.headPx, sight.numViews]);
+    const sights = heads.map(({ sight }) => [sight.visiblePx, sight.headPx]);
     const choices = heads.map(({ choice: { level, decode, scale, every } }) => [level, decode, scale, every]);
-    return { costS, isShort, shadedPx, sights, choices, draw: scheduler.costs.draw };
+    return { costS, isShort: scheduler.isShort, shadedPx, sights, choices };
   });
-}
-
-/** The pixel decoder of a spec, and its networks. */
-export function pixelDecoder(texts, spec, filtered) {
-  const siren = sirenSource(spec);
-  const defines = { ...(filtered ? { FILTERED: "" } : {}), ...specDefines(spec) };
-  return { siren, text: compose({ ...texts, "siren.glsl": siren }, "pixel_decoder.frag", defines) };
 }
 
 let kept = new Uint8Array();
@@ -67,4 +56,8 @@ export function reopen(header, length) {
   data.set(text, 8);
   data.set(kept.subarray(start), 8 + text.length);
   openAvatar(data.slice(0, length).buffer, "id");
+}
+
+export function open(data) {
+  return openAvatar(data.buffer, "id");
 }

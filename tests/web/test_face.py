@@ -42,9 +42,8 @@ def test_shapes_become_the_latent_of_an_avatar(page: Page) -> None:
         for index in range(3)
         for kind in ("weight", "bias")
     }
-    floats = {"floats": {"lookup": layers}}
-    found = page.call("face", "encode", floats, arkit)
-    assert np.array(found) == pytest.approx(
+    encoder: Handle = page.call("face", "openEncoder", {"floats": {"lookup": layers}})
+    assert np.array(encoder.call(None, arkit)) == pytest.approx(
         ExpressionEncoder(avatar).encode(arkit).ravel(), abs=1e-4
     )
 

@@ -45,12 +45,13 @@ def test_people_are_shown_named_and_pinned() -> None:
     people = [
         {"name": "Nora", "avatar": "nora"},
         {"name": "Ben", "avatar": "broken"},
-        {"name": "W" * 64, "avatar": None, "isVoiceMuted": True, "note": "not encrypted"},
+        {"name": "W" * 64, "avatar": None, "state": "not encrypted · muted"},
     ]
     found = _open(people, "demo", is_tile=False)
     assert found["first"][0]["text"] == "Nora"
-    assert found["first"][1]["text"] != "Ben"  # says what is wrong with its avatar
+    assert found["first"][1]["text"].startswith("Benthis is no avatar")
     assert found["first"][2]["text"] == "W" * 64 + "not encrypted · muted"
+    assert [each["isFaceless"] for each in found["first"]] == [False, True, True]
     assert [each["isSpeaking"] for each in found["first"]] == [True, False, False]
     assert [each["isPinned"] for each in found["pinned"]] == [True, False, False]
     assert found["layout"] == "Layout: table"

@@ -18,11 +18,7 @@ PLAY = "../../../tests/web/play"
 SPAN = ViewSpan(-60.0, 55.0, -28.0, 33.0)
 SHARES = st.floats(0, 0.4)
 OPTIONS = st.fixed_dictionaries(
-    {
-        "pinned": st.integers(-1, 9),
-        "free": st.fixed_dictionaries({"top": SHARES, "right": SHARES, "bottom": SHARES}),
-        "shouldersM": st.floats(0.1, 0.7),
-    }
+    {"bottom": SHARES, "pinned": st.integers(-1, 9), "shoulders_m": st.floats(0.1, 0.7)}
 )
 PLANS = st.tuples(st.sampled_from(LAYOUTS), OPTIONS)
 
@@ -45,8 +41,8 @@ def test_seats_and_cameras_are_those_of_the_viewer(
             count,
             aspect,
             pinned=options["pinned"],
-            free=FreeShares(**options["free"]),
-            shoulders_m=options["shouldersM"],
+            free=FreeShares(bottom=options["bottom"]),
+            shoulders_m=options["shoulders_m"],
         )
         for layout, options in plans
     )
@@ -54,7 +50,10 @@ def test_seats_and_cameras_are_those_of_the_viewer(
     limits = orbit_limits(plan, (SPAN,) * count)
     view = dict(zip(("yaw", "pitch", "zoom"), orbit, strict=True))
     camera = plan_camera(plan, ViewState(**view), *size, limits)
-    sent = [[layout, count, aspect, options] for layout, options in plans]
+    sent = [
+        [layout, count, aspect, *(options[key] for key in ("bottom", "pinned", "shoulders_m"))]
+        for layout, options in plans
+    ]
     spans = [[SPAN.min_yaw, SPAN.max_yaw, SPAN.min_pitch, SPAN.max_pitch]] * count
     found = page.call(PLAY, "seat", *sent, share, view, *size, spans)
     expected = {

@@ -1,169 +1,179 @@
 /**
- * Avatar files (`.pica`): safetensors with a manifest. Read as `avatar/file.py` reads them, without
- * trust: names, shapes and sizes are checked before memory is spent.
- *
- * This page draws avatars of block G with bases, as those that ship; others say so in one line. Not
- * checked here: how far bases may move triangles over one another; shaders keep all within the box,
- * and a lost context heals.
+ * Avatar files (`.pica`): safetensors with a manifest, read without trust: what is asked for is
+ * there and of its size, or one line says what is wrong. This page draws what `pica export` makes
+ * of the usual model: block G with bases, levels and the full encoding. Not checked: how far bases
+ * may move triangles over one another; shaders keep all within the box, and a lost context heals.
  */
-
-import { ENCODINGS, sineLayers } from "./glsl.js";
 
 /** @import { Vector } from "./space.js" */
-/** @typedef {{block: string, uv_encoding_size: number, axis_encoding_size: number, encoding: string, geometry: string}} Spec */
-/** @typedef {{dtype: string, shape: number[], start: number, end: number}} Entry */
+/** @typedef {{dtype: keyof typeof ARRAYS, shape: number[], start: number, end: number}} Entry */
+/** @typedef {{scale: number[], offset: number[]}} Affine */
 /**
- * @typedef {object} Manifest
- * @property {string} name
- * @property {Spec} spec
- * @property {number} position_scale_m
- * @property {Vector} bounds_min_m
- * @property {Vector} bounds_max_m
- * @property {number[]} view_span Least and most yaw, least and most pitch, degrees.
- */
+ * @typedef {{position_scale_m: number, bounds_min_m: Vector, bounds_max_m: Vector, view_span:
+ * number[]}} Manifest Of the view: least and most yaw, least and most pitch, degrees. */
 
-export const MAX_FILE_BYTES = 64 * 2 ** 20;
 export const MAP_SIZE = 256;
-const MAX_HEADER_BYTES = 256 * 2 ** 10;
-const [MAX_VERTICES, MAX_FACES, MAX_DIRECTIONS, MAX_BASES, MAX_COMPONENTS] = [200_000, 400_000, 8192, 128, 4e6];
-const [MAX_MAGNITUDE, MAX_EXTENT_M, MAX_SCALE_M, MAX_COVER] = [1e6, 0.45, 10, 4];
-const [SEAM, STATIC] = [1, 2];
+/** Map sizes that an avatar can be decoded to. */
+export const LEVELS = [64, 128, MAP_SIZE];
 /** Inputs and outputs of each block of the expression decoder. */
 export const DECODER = [[7, 32], [32, 16], [16, 16], [16, 8], [8, 4]];
-const ENCODER = [52, 160, 160, 256];
-/** @type {Record<string, number>} */
-const BYTES = { F32: 4, F16: 2, I32: 4, I16: 2, U16: 2, U8: 1 };
+/** Name, inputs and outputs of each sine layer: of the xyz code, then of the pixel decoder.
+ * @type {[string, number, number][]} */
+export const SINE_LAYERS = [
+  ["xyz.0", 3, 4], ["xyz.1", 4, 4],
+  ["pixel.0", 16, 8], ["pixel.1", 8, 8], ["pixel.2", 8, 8], ["pixel.3", 8, 3],
+];
+const [MAX_FILE_BYTES, MAX_HEADER_BYTES] = [64 * 2 ** 20, 256 * 2 ** 10];
+const [MAX_SIDE, MAX_VERTICES, MAX_COMPONENTS, MAX_COVER] = [16_384, 200_000, 4e6, 4];
+const [MAX_EXTENT_M, MAX_SCALE_M, MAX_SCALE] = [0.45, 10, 1e6];
+const [SEAM, STATIC] = [1, 2];
+const ARRAYS = {
+  F32: Float32Array, F16: Float16Array, I32: Int32Array, I16: Int16Array, U16: Uint16Array,
+  U8: Uint8Array,
+};
 
 /** What is wrong with an avatar, in one line. */
 export class AvatarError extends Error {}
 
+/** @param {unknown} holds @param {string} problem */
+function demand(holds, problem) {
+  if (!holds) throw new AvatarError(problem);
+}
+
+/** Numbers, so many, within a limit. @param {any} value @param {number} count
+ * @param {number} limit */
+const areNumbers = (value, count, limit) => Array.isArray(value) && value.length === count
+  && value.every((each) => typeof each === "number" && Math.abs(each) <= limit);
+
 /** A checked avatar. */
 export class Avatar {
-  /** @param {string} id @param {Manifest} manifest @param {Record<string, Entry>} entries @param {Uint8Array} data @param {Record<string, {scale: number[], offset: number[]}>} affine */
-  constructor(id, manifest, entries, data, affine) {
+  /** @param {string} id @param {ArrayBuffer} bytes @param {Manifest} manifest
+   * @param {Record<string, Entry>} entries @param {Record<string, Affine>} affine */
+  constructor(id, bytes, manifest, entries, affine) {
     this.id = id;
     this.manifest = manifest;
-    this.spec = manifest.spec;
+    this._bytes = bytes;
     this._entries = entries;
-    this._data = data;
     this._affine = affine;
-    /** Map sizes that it can be decoded to, ascending. @type {number[]} */
-    this.levels = "level.still" in entries ? [64, 128, MAP_SIZE] : [MAP_SIZE];
     this.vertexUv = this.floats("mesh.vertex_uv").map((value) => Math.min(Math.max(value, 0), 1));
     this.numVertices = this.vertexUv.length / 2;
+    const rows = Math.ceil(this.numVertices / MAP_SIZE);
     /** Where vertices are at rest, metres. */
-    this.restM = this.floats("linear.mean").subarray(0, 3 * this.numVertices);
-    /** @type {Map<number, Uint32Array>} */
-    this._faces = new Map(this.levels.map((level) => [level, this._indices(level)]));
-    this._parts = "static.parts" in entries ? this.integers("static.parts") : null;
-  }
-
-  /** @param {string} name */
-  has(name) {
-    return name in this._entries;
+    this.restM = this.floats("linear.mean", rows * MAP_SIZE * 3);
+    /** Directions of the bases for the vertices of each row. */
+    this.rank = this.integers("linear.rank", rows);
+    this._parts = "static.parts" in entries
+      ? this.integers("static.parts", Math.ceil(this.numVertices / 4)) : [];
+    this._faces = LEVELS.map((level) => Uint32Array.from(
+      this.integers(level === MAP_SIZE ? "mesh.faces" : `level.${level}.faces`),
+        (value) => value >>> 0));
+    this._sheets = LEVELS.map((level) =>
+      (level === MAP_SIZE ? allTo(this.numVertices) : verticesOf(this.faces(level))));
+    this._check();
   }
 
   /** @param {string} name */
   shape(name) {
+    demand(name in this._entries, `tensor ${name} is missing`);
     return this._entries[name].shape;
   }
 
-  /** A tensor as its file holds it. @param {string} name */
-  integers(name) {
+  /** A tensor as its file holds it. @param {string} name @param {number} size Of all its numbers; 0
+   * if any will do. */
+  integers(name, size = 0) {
+    const shape = this.shape(name);
     const { dtype, start, end } = this._entries[name];
-    const bytes = this._data.slice(start, end).buffer;
-    switch (dtype) {
-      case "I32": return new Int32Array(bytes);
-      case "I16": return new Int16Array(bytes);
-      case "U8": return new Uint8Array(bytes);
-      case "F32": return new Float32Array(bytes);
-      default: return new Uint16Array(bytes);
-    }
+    const found = new ARRAYS[dtype](this._bytes.slice(start, end));
+    const isSized = !size || found.length === size;
+    demand(isSized, `tensor ${name} has shape [${shape}]; ${size} numbers are needed`);
+    return found;
   }
 
-  /** A tensor as floats. @param {string} name @returns {Float32Array} */
-  floats(name) {
-    const { dtype, shape } = this._entries[name];
-    const stored = this.integers(name);
-    if (stored instanceof Float32Array) {
-      return sound(name, stored);
-    }
-    if (dtype === "F16") {
-      return sound(name, Float32Array.from(stored, halfToFloat));
-    }
-    const channels = shape[shape.length - 1];
-    const { scale, offset } = this._affine[name] ?? {};
-    for (const values of [scale, offset]) {
-      if (!Array.isArray(values) || values.length !== channels || !values.every((value) => isWithin(value, -MAX_MAGNITUDE, MAX_MAGNITUDE))) {
-        throw new AvatarError(`storage.${name} must be ${channels} finite numbers up to ${MAX_MAGNITUDE}`);
-      }
-    }
+  /** A tensor as floats. @param {string} name @param {number} size */
+  floats(name, size = 0) {
+    const [stored, affine] = [this.integers(name, size), this._affine[name]];
+    if (!affine) return Float32Array.from(stored);
+    const channels = affine.scale.length;
+    const scale = affine.scale.map(Math.fround);
     const found = new Float32Array(stored.length);
     for (let at = 0; at < found.length; ++at) {
-      const channel = at % channels;
-      found[at] = offset[channel] + Math.fround(scale[channel]) * stored[at];
+      found[at] = affine.offset[at % channels] + scale[at % channels] * stored[at];
     }
-    return sound(name, found);
+    return found;
   }
 
   /** Triangles of a level. @param {number} level */
   faces(level) {
-    return /** @type {Uint32Array} */ (this._faces.get(level));
+    return this._faces[LEVELS.indexOf(level)];
   }
 
-  /** Those that are decoded, or those that have a texture. @param {number} level @param {"decoded" | "textured"} kind */
+  /** Those that are decoded, or those that have a texture. @param {number} level
+   * @param {"decoded" | "textured"} kind */
   facesOf(level, kind) {
-    const isTextured = kind === "textured";
     return filterFaces(this.faces(level), (a, b, c) => {
       const least = Math.min(this.part(a), this.part(b), this.part(c));
-      return isTextured ? least >= SEAM : least < STATIC;
+      return kind === "textured" ? least >= SEAM : least < STATIC;
     });
   }
 
   /** What a vertex belongs to: 0 moves, 1 is the seam, 2 has a texture. @param {number} vertex */
   part(vertex) {
-    return this._parts ? Math.min((this._parts[vertex >> 2] >> (2 * (vertex & 3))) & 3, STATIC) : 0;
+    return Math.min(((this._parts[vertex >> 2] ?? 0) >> (2 * (vertex & 3))) & 3, STATIC);
   }
 
-  /** The vertices that a decode at a level makes, in the order of its sheet. @param {number} level */
+  /** The vertices that a decode at a level makes, in the order of its sheet.
+   * @param {number} level */
   sheetVertices(level) {
-    if (level === MAP_SIZE) {
-      return Uint32Array.from({ length: this.numVertices }, (_, index) => index);
-    }
-    return Uint32Array.from(new Set(this.faces(level))).sort();
+    return this._sheets[LEVELS.indexOf(level)];
   }
 
   /** Width of the shoulders, and the height at which the mesh ends, metres. */
   bust() {
-    let [width, lower] = [0, Infinity];
+    let [widthM, lowerM] = [0, Infinity];
     for (const vertex of this.faces(MAP_SIZE)) {
-      width = Math.max(width, Math.abs(this.restM[3 * vertex]));
-      lower = Math.min(lower, this.restM[3 * vertex + 1]);
+      widthM = Math.max(widthM, 2 * Math.abs(this.restM[3 * vertex]));
+      lowerM = Math.min(lowerM, this.restM[3 * vertex + 1]);
     }
-    return { widthM: 2 * width, lowerM: lower };
+    return { widthM, lowerM };
   }
 
-  /** @param {number} level */
-  _indices(level) {
-    const name = level === MAP_SIZE ? "mesh.faces" : `level.${level}.faces`;
-    const found = Uint32Array.from(this.integers(name), (value) => value >>> 0);
-    const most = found.reduce((a, b) => Math.max(a, b), 0);
-    if (most >= this.numVertices) {
-      throw new AvatarError(`tensor ${name} names vertex ${most}; allowed are 0 to ${this.numVertices - 1}`);
+  _check() {
+    const [directions, bases] = this.shape("linear.mix");
+    const rank = Array.from(this.rank);
+    const isRank = rank.every((value) => value >= 0 && value <= bases)
+      && rank.reduce((a, b) => a + b) === directions;
+    demand(isRank && this.numVertices <= MAX_VERTICES && this.numVertices * bases <= MAX_COMPONENTS,
+      `linear.rank does not add up to ${directions} directions of at most ${bases} a region`);
+    const { bounds_min_m: low, bounds_max_m: high } = this.manifest;
+    const [x, y, z] = [0, 1, 2].map((axis) => high[axis] - low[axis]);
+    for (const level of LEVELS) {
+      const faces = this.faces(level);
+      demand(faces.every((vertex) => vertex < this.numVertices),
+        `level ${level} names vertices that are not there`);
+      demand(this.facesOf(level, "decoded").length,
+        `tensor static.parts leaves no triangle of level ${level}`);
+      // Triangles that lie over one another without end would stop every viewer.
+      const cover = areaM2(this.restM, faces) / (2 * (x * y + y * z + z * x));
+      demand(cover <= MAX_COVER,
+        `triangles of level ${level} cover ${cover.toFixed(1)} times the box around the head`);
     }
-    return found;
   }
 }
 
-/** The triangles that pass. @param {Uint32Array} faces @param {(a: number, b: number, c: number) => boolean} passes */
+/** @param {number} count */
+const allTo = (count) => Uint32Array.from({ length: count }, (_, index) => index);
+/** The vertices that triangles have, ascending. @param {Uint32Array} faces */
+export const verticesOf = (faces) => Uint32Array.from(new Set(faces)).sort();
+
+/** The triangles that pass. @param {Uint32Array} faces
+ * @param {(a: number, b: number, c: number) => boolean} passes */
 export function filterFaces(faces, passes) {
   const found = new Uint32Array(faces.length);
   let count = 0;
   for (let at = 0; at < faces.length; at += 3) {
-    if (passes(faces[at], faces[at + 1], faces[at + 2])) {
-      found.set(faces.subarray(at, at + 3), count);
-      count += 3;
-    }
+    if (!passes(faces[at], faces[at + 1], faces[at + 2])) continue;
+    found.set(faces.subarray(at, at + 3), count);
+    count += 3;
   }
   return found.slice(0, count);
 }
@@ -174,213 +184,61 @@ export function filterFaces(faces, passes) {
  * @throws {AvatarError} What is wrong with it.
  */
 export function openAvatar(bytes, id) {
-  const data = new Uint8Array(bytes);
-  const { header, start } = readHeader(data);
-  const metadata = header.__metadata__ ?? {};
-  delete header.__metadata__;
-  if (typeof metadata.pica !== "string") {
-    throw new AvatarError("it has no manifest: this is not an avatar file");
-  }
-  const manifest = checkManifest(parse("manifest", metadata.pica));
-  const entries = checkEntries(header, start, data.length);
-  checkShapes(manifest.spec, entries);
-  const affine = typeof metadata.storage === "string" ? parse("storage", metadata.storage) : {};
-  const avatar = new Avatar(id, manifest, entries, data, Object(affine));
-  checkMesh(avatar);
-  return avatar;
+  const total = bytes.byteLength;
+  demand(total >= 8 && total <= MAX_FILE_BYTES, `it has ${total} bytes: this is no avatar file`);
+  const start = 8 + Number(new DataView(bytes).getBigUint64(0, true));
+  demand(start <= Math.min(8 + MAX_HEADER_BYTES, total),
+    "this is no avatar file, or one that was cut");
+  const text = new TextDecoder().decode(new Uint8Array(bytes, 8, start - 8));
+  const { __metadata__: metadata, ...header } = parse("header", text);
+  const manifest = parse("manifest", metadata?.pica);
+  const affine = parse("storage", metadata?.storage ?? "{}");
+  checkManifest(manifest);
+  const entries = Object.entries(header)
+    .map(([name, entry]) => [name, checkEntry(name, Object(entry), affine, start, total)]);
+  return new Avatar(id, bytes, manifest, Object.fromEntries(entries), affine);
 }
 
-/** @param {Uint8Array} data */
-function readHeader(data) {
-  if (data.length < 8 || data.length > MAX_FILE_BYTES) {
-    throw new AvatarError(`it has ${data.length} bytes; an avatar file has 8 to ${MAX_FILE_BYTES}`);
-  }
-  const length = Number(new DataView(data.buffer, data.byteOffset, 8).getBigUint64(0, true));
-  if (length > MAX_HEADER_BYTES || 8 + length > data.length) {
-    throw new AvatarError(`its header claims ${length} bytes: this is not an avatar file, or one that was cut`);
-  }
-  const header = parse("header", new TextDecoder().decode(data.subarray(8, 8 + length)));
-  if (typeof header !== "object" || header === null || Array.isArray(header)) {
-    throw new AvatarError("its header is no map: this is not an avatar file");
-  }
-  return { header, start: 8 + length };
-}
-
-/** @param {string} field @param {string} text @returns {any} */
+/** @param {string} field @param {string} text */
 function parse(field, text) {
   try {
-    return JSON.parse(text);
+    return Object(JSON.parse(text));
   } catch {
-    throw new AvatarError(`its ${field} is not valid JSON`);
+    throw new AvatarError(`its ${field} is no JSON: this is no avatar file`);
   }
 }
 
-/** @param {unknown} value @param {number} low @param {number} high */
-function isWithin(value, low, high) {
-  return typeof value === "number" && value >= low && value <= high;
+/** @param {any} manifest */
+function checkManifest({ schema_version: version, spec, position_scale_m: scale, view_span: span,
+  bounds_min_m: low, bounds_max_m: high }) {
+  demand(version === 1, `it is of schema ${String(version).slice(0, 20)}; this page reads 1`);
+  demand(spec?.block === "G" && spec.geometry === "bases" && spec.encoding === "full",
+    "its model is not one that this page draws (block G with bases); the desktop viewer draws it");
+  const isBox = areNumbers(low, 3, MAX_EXTENT_M) && areNumbers(high, 3, MAX_EXTENT_M)
+    && [0, 1, 2].every((axis) => low[axis] < high[axis]);
+  demand(isBox && areNumbers(span, 4, 180) && areNumbers([scale], 1, MAX_SCALE_M) && scale > 0,
+    "its manifest has no sound bounds, view_span or position_scale_m");
 }
 
-/** @param {any} manifest @returns {Manifest} */
-function checkManifest(manifest) {
-  const spec = manifest?.spec;
-  if (manifest?.schema_version !== 1) {
-    throw new AvatarError(`it is of schema ${String(manifest?.schema_version).slice(0, 20)}; this page reads 1`);
-  }
-  if (spec?.block !== "G" || spec?.geometry !== "bases" || !Object.hasOwn(ENCODINGS, spec?.encoding)) {
-    throw new AvatarError("its model is not one that this page draws (block G with bases); the desktop viewer draws it");
-  }
-  /** @type {[string, unknown, number, number][]} */
-  const numbers = [
-    ["uv_encoding_size", spec.uv_encoding_size, 1, 4096],
-    ["axis_encoding_size", spec.axis_encoding_size, 1, 16384],
-    ["position_scale_m", manifest.position_scale_m, 1e-9, MAX_SCALE_M],
-  ];
-  for (const [name, count, limit] of /** @type {[string, number, number][]} */ ([
-    ["bounds_min_m", 3, MAX_EXTENT_M], ["bounds_max_m", 3, MAX_EXTENT_M], ["view_span", 4, 180],
-  ])) {
-    const values = Array.isArray(manifest[name]) ? manifest[name] : [];
-    numbers.push([name, values.length, count, count]);
-    numbers.push(...values.slice(0, count).map((value) => /** @type {[string, unknown, number, number]} */ ([name, value, -limit, limit])));
-  }
-  for (const [name, value, low, high] of numbers) {
-    if (!isWithin(value, low, high) || (name.endsWith("_size") && !Number.isInteger(value))) {
-      throw new AvatarError(`manifest.${name} is ${String(value).slice(0, 40)}; ${low} to ${high} is allowed`);
-    }
-  }
-  if (![0, 1, 2].every((axis) => manifest.bounds_min_m[axis] < manifest.bounds_max_m[axis])) {
-    throw new AvatarError("manifest.bounds_min_m is not below bounds_max_m");
-  }
-  const card = manifest.model_card;
-  if (typeof card !== "object" || card === null || Array.isArray(card) || Object.keys(card).length > 64) {
-    throw new AvatarError("manifest.model_card must be a map of at most 64 entries");
-  }
-  for (const name of ["name", "identity", "licence"]) {
-    const text = manifest[name];
-    if (typeof text !== "string" || !/^.{1,200}$/u.test(text) || /(?! )[\p{C}\p{Z}]/u.test(text)) {
-      throw new AvatarError(`manifest.${name} must be 1 to 200 printable characters`);
-    }
-  }
-  return manifest;
-}
-
-/** Where each tensor lies: within the file, of the size that its shape wants. @param {Record<string, any>} header @param {number} start @param {number} total */
-function checkEntries(header, start, total) {
-  /** @type {Record<string, Entry>} */
-  const entries = Object.create(null);
-  for (const [name, entry] of Object.entries(header)) {
-    const { dtype, shape, data_offsets: offsets } = Object(entry);
-    const isProper = Array.isArray(shape) && shape.length <= 8 && shape.every((side) => Number.isInteger(side) && side > 0);
-    const size = isProper && Object.hasOwn(BYTES, dtype) ? shape.reduce((product, side) => product * side, BYTES[dtype]) : NaN;
-    const [from, to] = Array.isArray(offsets) ? offsets : [];
-    if (!(Number.isInteger(from) && from >= 0 && to - from === size && start + to <= total)) {
-      throw new AvatarError(`tensor ${name.slice(0, 80)} has no proper type, shape or place: cut or damaged`);
-    }
-    entries[name] = { dtype, shape, start: start + from, end: start + to };
-  }
-  return entries;
-}
-
-/** @param {Spec} spec @param {Record<string, Entry>} entries */
-function checkShapes(spec, entries) {
-  /** @param {string} name @param {number} axis @param {number} limit */
-  const side = (name, axis, limit) => {
-    const found = entries[name]?.shape[axis] ?? 0;
-    if (found < 1 || found > limit) {
-      throw new AvatarError(`tensor ${name} has ${found} rows or columns; allowed are 1 to ${limit}`);
-    }
-    return found;
-  };
-  const vertices = side("mesh.vertex_uv", 0, MAX_VERTICES);
-  const [directions, bases] = [side("linear.mix", 0, MAX_DIRECTIONS), side("linear.mix", 1, MAX_BASES)];
-  if (vertices * bases > MAX_COMPONENTS) {
-    throw new AvatarError(`${bases} bases of ${vertices} vertices; at most ${MAX_COMPONENTS} products are allowed`);
-  }
-  const rows = Math.ceil(vertices / MAP_SIZE);
-  /** @type {Record<string, number[]>} */
-  const wanted = {
-    "mesh.vertex_uv": [vertices, 2],
-    "mesh.faces": [side("mesh.faces", 0, MAX_FACES), 3],
-    "linear.weight": [bases, 256],
-    "linear.bias": [bases],
-    "linear.mix": [directions, bases],
-    "linear.basis": [directions, MAP_SIZE, 3],
-    "linear.mean": [rows, MAP_SIZE, 3],
-    "linear.rank": [rows],
-  };
-  DECODER.forEach(([ins, outs], index) => {
-    const size = 8 << index;
-    wanted[`expression.${index}.first.weight`] = [outs, ins, 3, 3];
-    wanted[`expression.${index}.first_bias.weight`] = [outs, size, size];
-    wanted[`expression.${index}.expand.weight`] = [4 * outs, outs, 1, 1];
-    wanted[`expression.${index}.expand.bias`] = [4 * outs];
-  });
-  for (const [part] of ENCODINGS[spec.encoding]) {
-    const [size, entriesPerAxis] = [spec.uv_encoding_size, spec.axis_encoding_size];
-    if (part === "joint") {
-      wanted.uv_encoding = [size, size, 4];
-    } else if (part === "axes") {
-      wanted.u_encoding = wanted.v_encoding = [entriesPerAxis, 2];
-    }
-  }
-  const dense = sineLayers(spec);
-  ENCODER.slice(1).forEach((outs, index) => dense.push([`encoder.${index}`, ENCODER[index], outs]));
-  for (const [name, ins, outs] of dense) {
-    wanted[`${name}.weight`] = [outs, ins];
-    wanted[`${name}.bias`] = [outs];
-  }
-  if ("static.parts" in entries) {
-    wanted["static.parts"] = [Math.ceil(vertices / 4)];
-  }
-  if (Object.keys(entries).some((name) => name.startsWith("level."))) {
-    wanted["level.still"] = [8, 8, 4];
-    for (const [level, channels] of [[64, 16], [128, 8]]) {
-      wanted[`level.${level}.faces`] = [side(`level.${level}.faces`, 0, MAX_FACES), 3];
-      wanted[`level.${level}.expression.weight`] = [4, channels, 3, 3];
-      wanted[`level.${level}.expression.bias`] = [4, level, level];
-    }
-    wanted["level.64.expression.local"] = [32, 32, 64];
-  }
-  const coefficients = side("stream.table_index", 0, 128);
-  Object.assign(wanted, {
-    "stream.mean": [256], "stream.analysis": [256, coefficients], "stream.synthesis": [coefficients, 256],
-    "stream.synthesis_shift": [1], "stream.table_index": [coefficients, 6],
-  });
-  for (const [name, shape] of Object.entries(wanted)) {
-    if (String(entries[name]?.shape) !== String(shape)) {
-      throw new AvatarError(`tensor ${name} has shape [${entries[name]?.shape ?? "none"}]; [${shape}] is needed`);
-    }
-  }
-  for (const [name, { dtype }] of Object.entries(entries)) {
-    if (!(name in wanted)) {
-      throw new AvatarError(`tensor ${name.slice(0, 80)} is unknown`);
-    }
-    const isIndex = name.endsWith(".faces") || name === "linear.rank";
-    const types = isIndex ? ["I32", "U16"] : name === "static.parts" ? ["U8"] : ["F32", "F16", "U8", "U16"];
-    if (!name.startsWith("stream.") && !types.includes(dtype)) {
-      throw new AvatarError(`tensor ${name} is stored as ${dtype}; allowed are ${types.join(", ")}`);
-    }
-  }
-}
-
-/** What its numbers must keep. @param {Avatar} avatar */
-function checkMesh(avatar) {
-  const rank = Array.from(avatar.integers("linear.rank"));
-  const [directions, bases] = avatar.shape("linear.mix");
-  if (rank.some((value) => value < 0 || value > bases) || rank.reduce((a, b) => a + b, 0) !== directions) {
-    throw new AvatarError(`tensor linear.rank does not add up to ${directions} directions of at most ${bases} a region`);
-  }
-  const { bounds_min_m: low, bounds_max_m: high } = avatar.manifest;
-  const [x, y, z] = [0, 1, 2].map((axis) => high[axis] - low[axis]);
-  for (const level of avatar.levels) {
-    if (!avatar.facesOf(level, "decoded").length) {
-      throw new AvatarError(`tensor static.parts leaves no triangle of level ${level}; 1 is the least`);
-    }
-    // Triangles that lie over one another without end would stop every viewer.
-    const cover = areaM2(avatar.restM, avatar.faces(level)) / (2 * (x * y + y * z + z * x));
-    if (!(cover <= MAX_COVER)) {
-      throw new AvatarError(`triangles of level ${level} cover ${cover.toFixed(1)} times the box around the head; the limit is ${MAX_COVER}`);
-    }
-  }
+/** @param {string} name @param {any} entry @param {any} affine @param {number} start
+ * @param {number} total @returns {Entry} */
+function checkEntry(name, { dtype, shape, data_offsets: offsets }, affine, start, total) {
+  const isShape = Array.isArray(shape) && shape.length > 0
+    && shape.every((side) => Number.isInteger(side) && side > 0
+      && (side <= MAX_SIDE || side === shape[0]));
+  const channels = isShape ? shape[shape.length - 1] : 0;
+  const { scale, offset } = Object(affine[name]);
+  // What counts is stored as it is; other whole numbers are codes.
+  const isCount = /^stream|faces$|rank$|parts$/.test(name);
+  const isCode = areNumbers(scale, channels, MAX_SCALE) && areNumbers(offset, channels, MAX_SCALE);
+  const isType = Object.hasOwn(ARRAYS, dtype) && isCode === !(isCount || dtype.startsWith("F"))
+    && !(isCount && dtype.startsWith("F"));
+  const { BYTES_PER_ELEMENT: size } = ARRAYS[/** @type {keyof typeof ARRAYS} */ (dtype)] ?? {};
+  const bytes = isShape && isType ? shape.reduce((product, side) => product * side, size) : NaN;
+  const [from, to] = Array.isArray(offsets) ? offsets : [];
+  demand(Number.isInteger(from) && from >= 0 && to - from === bytes && start + to <= total,
+    `tensor ${name.slice(0, 80)} is cut or damaged: it has no proper type, shape or place`);
+  return { dtype, shape, start: start + from, end: start + to };
 }
 
 /** @param {Float32Array} places @param {Uint32Array} faces */
@@ -388,26 +246,11 @@ function areaM2(places, faces) {
   let sum = 0;
   for (let at = 0; at < faces.length; at += 3) {
     const [a, b, c] = [3 * faces[at], 3 * faces[at + 1], 3 * faces[at + 2]];
-    const [px, py, pz] = [places[b] - places[a], places[b + 1] - places[a + 1], places[b + 2] - places[a + 2]];
-    const [qx, qy, qz] = [places[c] - places[a], places[c + 1] - places[a + 1], places[c + 2] - places[a + 2]];
+    const [px, py, pz] =
+      [places[b] - places[a], places[b + 1] - places[a + 1], places[b + 2] - places[a + 2]];
+    const [qx, qy, qz] =
+      [places[c] - places[a], places[c + 1] - places[a + 1], places[c + 2] - places[a + 2]];
     sum += Math.hypot(py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx) / 2;
   }
   return sum;
-}
-
-/** @param {string} name @param {Float32Array} values */
-function sound(name, values) {
-  if (!values.every((value) => Math.abs(value) <= MAX_MAGNITUDE)) {
-    throw new AvatarError(`tensor ${name} has values that are not finite or beyond ${MAX_MAGNITUDE}`);
-  }
-  return values;
-}
-
-/** @param {number} bits */
-function halfToFloat(bits) {
-  const [exponent, fraction, sign] = [(bits >> 10) & 31, bits & 1023, bits & 0x8000 ? -1 : 1];
-  if (exponent === 31) {
-    return NaN;
-  }
-  return sign * (exponent ? 2 ** (exponent - 25) * (1024 + fraction) : 2 ** -24 * fraction);
 }

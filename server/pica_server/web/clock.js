@@ -1,6 +1,6 @@
 /**
- * From what frames say of themselves to places on one even time line, and what arrivals tell: how long
- * frames take, and how late some are. Pure: `now` is an argument. The rules are those of
+ * From what frames say of themselves to places on one even time line, and what arrivals tell: how
+ * long frames take, and how late some are. Pure: `now` is an argument. The rules are those of
  * `pica_client.playout.sender_clock`, where they are explained.
  */
 
@@ -16,22 +16,23 @@ export const seconds = () => performance.now() / 1000;
 
 /** The time line of one stream. */
 export class SenderClock {
+  hasBegun = false;
+  sequence = 0;
+  capturedUs = 0;
+  originS = 0;
+  originUs = 0;
+  /** Our clock minus the sender's for a frame that nothing delays. */
+  fastestS = 0;
+  /** Lateness that should be waited for. */
+  jitterS = 0;
+  /** @type {{arrivedS: number, transitS: number, isAlone: boolean}[]} */
+  arrivals = [];
+  lastArrivedS = -Infinity;
+  lastMediaS = -Infinity;
+
   /** @param {number} share Of delays that are waited for. */
   constructor(share = 0.95) {
     this.share = share;
-    this.hasBegun = false;
-    this.sequence = 0;
-    this.capturedUs = 0;
-    this.originS = 0;
-    this.originUs = 0;
-    /** Our clock minus the sender's for a frame that nothing delays. */
-    this.fastestS = 0;
-    /** Lateness that should be waited for. */
-    this.jitterS = 0;
-    /** @type {{arrivedS: number, transitS: number, isAlone: boolean}[]} */
-    this.arrivals = [];
-    this.lastArrivedS = -Infinity;
-    this.lastMediaS = -Infinity;
   }
 
   /** The place of a moment of the sender on the time line, seconds. @param {number} capturedUs */
@@ -57,10 +58,13 @@ export class SenderClock {
     return this.mediaS(capturedUs);
   }
 
-  /** Whether a frame contradicts the newest one. @type {(ahead: number, capturedUs: number, now: number) => boolean} */
+  /** Whether a frame contradicts the newest one. @type {(ahead: number, capturedUs: number, now:
+   * number) => boolean} */
   isRestart(ahead, capturedUs, now) {
     const laterUs = capturedUs - this.capturedUs;
-    if (Math.abs(ahead) > RESTART_FRAMES || ahead * laterUs < 0 || (ahead === 0 && laterUs !== 0)) return true;
+    if (Math.abs(ahead) > RESTART_FRAMES || ahead * laterUs < 0 || (ahead === 0 && laterUs !== 0)) {
+      return true;
+    }
     return ahead < 0 && now - this.mediaS(capturedUs) - this.fastestS > LATE_S;
   }
 
@@ -69,11 +73,13 @@ export class SenderClock {
     // Of those that a stall held back, the first alone tells how long it was.
     const isBurst = arrivedS - this.lastArrivedS < 0.5 * (mediaS - this.lastMediaS);
     [this.lastArrivedS, this.lastMediaS] = [arrivedS, mediaS];
-    const kept = this.arrivals.filter((each) => each.arrivedS >= arrivedS - WINDOW_S).slice(1 - CAPACITY);
+    const kept = this.arrivals.filter((each) => each.arrivedS >= arrivedS - WINDOW_S)
+      .slice(1 - CAPACITY);
     kept.push({ arrivedS, transitS: arrivedS - mediaS, isAlone: !isBurst || !kept.length });
     this.arrivals = kept;
     this.fastestS = kept.reduce((least, each) => Math.min(least, each.transitS), Infinity);
-    const alone = kept.filter((each) => each.isAlone && each.transitS <= this.fastestS + MAX_DELAY_S);
+    const alone =
+      kept.filter((each) => each.isAlone && each.transitS <= this.fastestS + MAX_DELAY_S);
     const fast = alone.filter((each) => each.arrivedS >= arrivedS - ATTACK_S);
     let waitS = alone.length ? quantile(alone, this.share) : this.fastestS;
     if (fast.length >= ATTACK_MIN_DELAYS) waitS = Math.max(waitS, quantile(fast, ATTACK_SHARE));

@@ -1,195 +1,221 @@
-/** What WebGL offers, and its objects: programs, textures, what is drawn into. */
+/**
+ * What WebGL offers, and its objects: programs, textures, what is drawn into. Shaders are the files
+ * of the Python package in GLSL ES 3.00, composed as `render/gpu_program.py` does; the relay gives
+ * all texts in one answer, `shaders.json`.
+ */
 
-import { compose } from "./glsl.js";
-
-/** @typedef {WebGL2RenderingContext} GL */
-/** @typedef {WebGLTexture & {width: number, height: number}} Texture */
+/** @typedef {ReturnType<typeof openGraphics>} Graphics */
+/**
+ * @typedef {{handle: WebGLTexture, kind: number, width: number, height: number, format: Format}}
+ * Texture */
 /** @typedef {{framebuffer: WebGLFramebuffer | null, width: number, height: number}} Target */
-/** @typedef {{program: WebGLProgram, at: Record<string, WebGLUniformLocation>}} Program */
-/** @typedef {"RGBA8" | "RGBA16F" | "RGBA32F" | "RG16F" | "RG32F" | "RGB8" | "RGB32F" | "RGB16UI" | "DEPTH"} Format */
+/** @typedef {{handle: WebGLProgram, set: Record<string, (value: any) => void>}} Program */
+/** @typedef {ReturnType<Graphics["triangles"]>} Triangles */
+/**
+ * @typedef {"RGBA8" | "RGBA16F" | "RGBA32F" | "RG16F" | "RG32F" | "RGB8" | "RGB32F" | "RGB16UI" |
+ * "DEPTH"} Format */
 
-export const ATTRIBUTES = ["vertex_place", "vertex_uv", "vertex_xyz_m", "vertex_opacity"];
-/** Texture units by the names of samplers. @type {Record<string, number>} */
-export const UNITS = {
-  visible_xyz: 0, visible_uv: 1, position_map: 2, expression_map: 3,
-  uv_encoding: 4, u_encoding: 5, v_encoding: 6, skin: 7, still_map: 8, room: 0, layer: 1, image: 0,
-  phase0: 0, phase1: 1, phase2: 2, phase3: 3, rows: 0, heads: 4, table: 5, places: 6, mean: 7, basis: 8,
-};
+const ATTRIBUTES = ["vertex_place", "vertex_uv", "vertex_xyz_m", "vertex_opacity"];
+const KINDS = ["float", "int", "sampler2D", "sampler2DArray", "usampler2DArray"];
 
 /** What this browser and GPU cannot draw with. */
 export class DrawError extends Error {}
 
-/** A context, its formats and what is compiled once. */
-export class Graphics {
-  /**
-   * @param {GL} gl @param {import("./glsl.js").Texts} texts
-   * @param {{onlyHalfs?: boolean}} [options] Draw as where 32-bit floats can be neither targets nor filtered.
-   */
-  constructor(gl, texts, { onlyHalfs = false } = {}) {
-    this.gl = gl;
-    this.texts = texts;
-    const hasFloats = gl.getExtension("EXT_color_buffer_float") !== null && !onlyHalfs;
-    if (!hasFloats && !gl.getExtension("EXT_color_buffer_half_float") && !onlyHalfs) {
-      throw new DrawError("this browser's graphics cannot draw floating-point numbers; try another browser");
-    }
-    /** What is between two passes. @type {Format} */
-    this.exact = hasFloats ? "RGBA32F" : "RGBA16F";
-    /** @type {Format} */
-    this.pairs = hasFloats ? "RG32F" : "RG16F";
-    /** What is filtered. @type {Format} */
-    this.smooth = hasFloats && gl.getExtension("OES_texture_float_linear") ? "RGBA32F" : "RGBA16F";
-    const info = gl.getExtension("WEBGL_debug_renderer_info");
-    this.renderer = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
-    /** Whether the processor draws. */
-    this.isSoftware = !onlyHalfs && /swiftshader|llvmpipe|software|basic render/i.test(this.renderer);
-    /** A vertex array without attributes, for rectangles. */
-    this.nothing = gl.createVertexArray();
-    /** @type {Map<string, Program>} Keyed by the fragment shader's text. */
-    this._screens = new Map();
+/**
+ * A context, its formats and what is compiled once.
+ * @param {WebGL2RenderingContext} gl @param {Record<string, string>} texts Shaders by name.
+ * @param {boolean} onlyHalfs Draw as where 32-bit floats can be neither targets nor filtered.
+ */
+export function openGraphics(gl, texts, onlyHalfs = false) {
+  const hasFloats = gl.getExtension("EXT_color_buffer_float") !== null && !onlyHalfs;
+  if (!hasFloats && !gl.getExtension("EXT_color_buffer_half_float") && !onlyHalfs) {
+    throw new DrawError(
+      "this browser's graphics cannot draw floating-point numbers; try another browser");
+  }
+  const isFiltered = hasFloats && gl.getExtension("OES_texture_float_linear");
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  const renderer = String(gl.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
+  /** A vertex array without attributes, for rectangles. */
+  const nothing = gl.createVertexArray();
+  /** Keyed by the fragment shader's text. @type {Map<string, Program>} */
+  const screens = new Map();
+
+  /** The text of a shader, in which each include is replaced. @param {string} name
+   * @param {Record<string, string | number>} defines @param {string} generated Included as
+   * `siren.glsl`. */
+  function compose(name, defines = {}, generated = "") {
+    /** @type {(file: string) => string} */
+    const included = (file) => {
+      const text = file === "siren.glsl" ? generated : texts[file];
+      if (text === undefined) throw new DrawError(`shader ${file} is missing on the relay`);
+      return text.replace(/^#include "([^"]*)".*$/gm, (_, other) => included(other));
+    };
+    const header = KINDS.map((kind) => `precision highp ${kind};`);
+    const sizes = Object.entries(defines).map(([key, value]) => `#define ${key} ${value}`);
+    return ["#version 300 es", ...header, ...sizes, included(name)].join("\n");
   }
 
-  /** Compile and link. @param {string} vertex @param {string} fragment @returns {Program} */
-  program(vertex, fragment) {
-    const { gl } = this;
-    const program = gl.createProgram();
-    for (const [kind, text] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
-      const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
-      gl.shaderSource(shader, text);
+  /** Compile and link two texts. @type {(vertex: string, fragment: string) => Program} */
+  function program(vertex, fragment) {
+    const handle = gl.createProgram();
+    const shaders =
+      [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]].map(([kind, text]) => {
+      const shader = /** @type {WebGLShader} */ (gl.createShader(Number(kind)));
+      gl.shaderSource(shader, String(text));
       gl.compileShader(shader);
-      gl.attachShader(program, shader);
-      gl.deleteShader(shader);
+      gl.attachShader(handle, shader);
+      return shader;
+    });
+    ATTRIBUTES.forEach((name, index) => gl.bindAttribLocation(handle, index, name));
+    gl.linkProgram(handle);
+    if (!gl.getProgramParameter(handle, gl.LINK_STATUS) && !gl.isContextLost()) {
+      const logs =
+        [...shaders.map((shader) => gl.getShaderInfoLog(shader)), gl.getProgramInfoLog(handle)];
+      throw new DrawError(
+        `the graphics driver refuses a shader: ${logs.find(Boolean) ?? "no reason given"}`);
     }
-    ATTRIBUTES.forEach((name, index) => gl.bindAttribLocation(program, index, name));
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      const logs = (gl.getAttachedShaders(program) ?? []).map((shader) => gl.getShaderInfoLog(shader));
-      throw new DrawError(`the graphics driver refuses a shader: ${[...logs, gl.getProgramInfoLog(program)].find(Boolean) ?? "no reason given"}`);
-    }
-    /** @type {Record<string, WebGLUniformLocation>} */
-    const at = {};
-    gl.useProgram(program);
-    const count = gl.isContextLost() ? 0 : gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
+    shaders.forEach((shader) => gl.deleteShader(shader));
+    return { handle, set: setters(handle) };
+  }
+
+  /** What sets each uniform, samplers to textures. @param {WebGLProgram} handle */
+  function setters(handle) {
+    gl.useProgram(handle);
+    /** @type {Program["set"]} */
+    const set = {};
+    let units = 0;
+    const count = gl.isContextLost() ? 0 : gl.getProgramParameter(handle, gl.ACTIVE_UNIFORMS);
     for (let index = 0; index < count; ++index) {
-      const name = gl.getActiveUniform(program, index)?.name.replace("[0]", "") ?? "";
-      const place = gl.getUniformLocation(program, name);
-      if (place) {
-        at[name] = place;
-        if (name in UNITS) {
-          gl.uniform1i(place, UNITS[name]);
-        }
-      }
+      const { name, type } = /** @type {WebGLActiveInfo} */ (gl.getActiveUniform(handle, index));
+      const place = gl.getUniformLocation(handle, name);
+      /** @type {Record<number, (value: any) => void>} */
+      const byType = {
+        [gl.FLOAT]: (value) => gl.uniform1f(place, value),
+        [gl.INT]: (value) => gl.uniform1i(place, value),
+        [gl.BOOL]: (value) => gl.uniform1i(place, value),
+        [gl.FLOAT_VEC2]: (value) => gl.uniform2fv(place, value),
+        [gl.FLOAT_VEC3]: (value) => gl.uniform3fv(place, value),
+        [gl.FLOAT_VEC4]: (value) => gl.uniform4fv(place, value),
+        [gl.FLOAT_MAT3]: (value) => gl.uniformMatrix3fv(place, false, value),
+        [gl.FLOAT_MAT4]: (value) => gl.uniformMatrix4fv(place, true, value),
+      };
+      const unit = units;
+      set[name.replace("[0]", "")] = byType[type] ?? ((texture) => bind(texture, unit));
+      if (!byType[type]) gl.uniform1i(place, units++);
     }
-    if (at.rect) {
-      gl.uniform4f(at.rect, -1, -1, 1, 1);
+    set.rect?.([-1, -1, 1, 1]);
+    return set;
+  }
+
+  /** A program that covers a rectangle, compiled once. @param {string} name
+   * @param {Record<string, string | number>} defines @param {string} generated */
+  function screen(name, defines = {}, generated = "") {
+    const fragment = compose(name, defines, generated);
+    const found = screens.get(fragment) ?? program(compose("rect.vert"), fragment);
+    screens.set(fragment, found);
+    return found;
+  }
+
+  /** @param {Program} each */
+  function forget(each) {
+    gl.deleteProgram(each.handle);
+    screens.forEach((known, text) => known === each && screens.delete(text));
+  }
+
+  /** Take a program and what its uniforms are. @param {Program} each
+   * @param {Record<string, any>} uniforms */
+  function use(each, uniforms) {
+    gl.useProgram(each.handle);
+    for (const [name, value] of Object.entries(uniforms)) if (value !== undefined) {
+      each.set[name]?.(value);
     }
-    return { program, at };
   }
 
-  /** A program that covers a rectangle, compiled once. @param {string} name @param {import("./glsl.js").Defines} [defines] @param {Record<string, string>} [generated] */
-  screen(name, defines = {}, generated = {}) {
-    const texts = { ...this.texts, ...generated };
-    const fragment = compose(texts, name, defines);
-    const program = this._screens.get(fragment) ?? this.program(compose(texts, "rect.vert"), fragment);
-    this._screens.set(fragment, program);
-    return program;
+  /** Draw into it from now on. @param {Target} target */
+  function into({ framebuffer, width, height }) {
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(0, 0, width, height);
   }
 
-  /** Free a program that `screen` made. @param {Program} screen */
-  forget(screen) {
-    this.gl.deleteProgram(screen.program);
-    this._screens = new Map([...this._screens].filter(([, each]) => each !== screen));
-  }
-
-  /** Draw a rectangle by a program into a target. @param {Program} screen @param {Target} target */
-  drawScreen({ program }, target) {
-    const { gl } = this;
-    this.use(target);
-    gl.useProgram(program);
-    gl.bindVertexArray(this.nothing);
+  /** Draw a rectangle. @param {Program} each @param {Target} target
+   * @param {Record<string, any>} uniforms */
+  function draw(each, target, uniforms) {
+    into(target);
+    use(each, uniforms);
+    gl.bindVertexArray(nothing);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
-  /** @param {Target} target */
-  use({ framebuffer, width, height }) {
-    this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, framebuffer);
-    this.gl.viewport(0, 0, width, height);
+  /** @param {Program} each @param {Triangles} mesh @param {Record<string, any>} uniforms */
+  function drawMesh(each, mesh, uniforms, copies = 1) {
+    use(each, uniforms);
+    gl.bindVertexArray(mesh.vertices);
+    gl.drawElementsInstanced(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0, copies);
   }
 
-  /** @param {number} unit @param {WebGLTexture} texture @param {number} [kind] */
-  bind(unit, texture, kind = this.gl.TEXTURE_2D) {
-    this.gl.activeTexture(this.gl.TEXTURE0 + unit);
-    this.gl.bindTexture(kind, texture);
+  /** @param {Texture} texture */
+  function bind({ kind, handle }, unit = 0) {
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(kind, handle);
   }
 
-  /** @param {Format} format @returns {[number, number, number]} Internal format, format and type. */
-  formats(format) {
-    const { gl } = this;
-    if (format === "DEPTH") {
-      return [gl.DEPTH_COMPONENT24, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT];
-    }
-    if (format === "RGB16UI") {
-      return [gl.RGB16UI, gl.RGB_INTEGER, gl.UNSIGNED_SHORT];
-    }
-    const components = format.startsWith("RGBA") ? gl.RGBA : format.startsWith("RGB") ? gl.RGB : gl.RG;
+  /** Internal format, format and type. @param {Format} format @returns {[number, number,
+   * number]} */
+  function formats(format) {
+    if (format === "DEPTH") return [gl.DEPTH_COMPONENT24, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT];
+    if (format === "RGB16UI") return [gl.RGB16UI, gl.RGB_INTEGER, gl.UNSIGNED_SHORT];
+    const components = format.startsWith("RGBA") ? gl.RGBA : format.startsWith("RGB")
+      ? gl.RGB : gl.RG;
     return [gl[format], components, format.endsWith("F") ? gl.FLOAT : gl.UNSIGNED_BYTE];
   }
 
-  /** @param {Format} format @param {number} width @param {number} height @param {{smooth?: boolean, data?: ArrayBufferView, levels?: number}} [options] @returns {Texture} */
-  texture(format, width, height, { smooth = false, data, levels = 1 } = {}) {
-    const { gl } = this;
-    const [internal, components, type] = this.formats(format);
-    const texture = /** @type {Texture} */ (gl.createTexture() ?? {});
-    Object.assign(texture, { width, height });
-    gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, levels, internal, width, height);
-    if (data) {
-      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, components, type, data);
-    }
-    this._clamp(gl.TEXTURE_2D, smooth);
-    if (levels > 1) {
-      gl.generateMipmap(gl.TEXTURE_2D);
-      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
-    }
-    return texture;
+  /** A texture; with layers, an array of them. @param {Format} format @param {number} width
+   * @param {number} height @param {{smooth?: boolean, levels?: number, layers?: number}} options
+   * @returns {Texture} */
+  function texture(format, width, height, { smooth = false, levels = 1, layers = 0 } = {}) {
+    const kind = layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D;
+    const found = { handle: gl.createTexture(), kind, width, height, format };
+    bind(found);
+    const [internal] = formats(format);
+    if (layers) gl.texStorage3D(kind, 1, internal, width, height, layers);
+    else gl.texStorage2D(kind, levels, internal, width, height);
+    const filter = smooth ? gl.LINEAR : gl.NEAREST;
+    gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, levels > 1 ? gl.LINEAR_MIPMAP_LINEAR : filter);
+    gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, filter);
+    gl.texParameteri(kind, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(kind, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    return found;
   }
 
-  /** A texture with layers, and the way to write one. @param {Format} format @param {number} width @param {number} height @param {number} layers */
-  layered(format, width, height, layers) {
-    const { gl } = this;
-    const [internal, components, type] = this.formats(format);
-    const texture = gl.createTexture();
-    this.bind(0, texture, gl.TEXTURE_2D_ARRAY);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, internal, width, height, layers);
-    this._clamp(gl.TEXTURE_2D_ARRAY, false);
-    /** @param {number} layer @param {ArrayBufferView} data */
-    const write = (layer, data) => {
-      this.bind(0, texture, gl.TEXTURE_2D_ARRAY);
-      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, components, type, data);
-    };
-    return { texture, write };
+  /** Fill a texture, its first rows, or a layer of it. @param {Texture} each
+   * @param {ArrayBufferView} data */
+  function write(each, data, layer = 0, rows = each.height) {
+    const [, components, type] = formats(each.format);
+    bind(each);
+    if (each.kind === gl.TEXTURE_2D)
+      gl.texSubImage2D(each.kind, 0, 0, 0, each.width, rows, components, type, data);
+    else gl.texSubImage3D(each.kind, 0, 0, 0, layer, each.width, rows, 1, components, type, data);
+    return each;
   }
 
-  /** @param {Texture[]} colours @param {Texture | null} [depth] @returns {Target} */
-  target(colours, depth = null) {
-    const { gl } = this;
+  /** What draws into textures. @param {Texture[]} colours @param {Texture | null} depth @returns
+   * {Target} */
+  function target(colours, depth = null) {
     const framebuffer = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    const places = colours.map((texture, index) => {
-      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + index, gl.TEXTURE_2D, texture, 0);
-      return gl.COLOR_ATTACHMENT0 + index;
+    const places = colours.map((_, index) => gl.COLOR_ATTACHMENT0 + index);
+    const images = [...colours, ...(depth ? [depth] : [])];
+    images.forEach(({ handle }, index) => {
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, places[index]
+        ?? gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, handle, 0);
     });
     gl.drawBuffers(places);
-    if (depth) {
-      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, depth, 0);
-    }
-    const { width, height } = colours[0] ?? depth;
-    return { framebuffer, width, height };
+    return { framebuffer, width: images[0].width, height: images[0].height };
   }
 
-  /** Triangles over the vertices that they use: attributes are slices of each vertex's numbers. @param {Uint32Array} faces @param {Float32Array} corners @param {[string, number][]} layout */
-  triangles(faces, corners, layout) {
-    const { gl } = this;
+  /** Triangles of vertices that have these numbers each. @param {Uint32Array} faces
+   * @param {Float32Array} corners @param {[string, number][]} layout */
+  function triangles(faces, corners, layout) {
     const vertices = gl.createVertexArray();
     gl.bindVertexArray(vertices);
     const buffers = [gl.createBuffer(), gl.createBuffer()];
@@ -209,24 +235,26 @@ export class Graphics {
     return { vertices, count: faces.length, buffers };
   }
 
-  /** Free textures and what is drawn into. @param {(Texture | Target | null | undefined)[]} things */
-  free(...things) {
+  /** Free textures, meshes and what is drawn into.
+   * @param {(Texture | Target | Triangles | null | undefined)[]} things */
+  function free(...things) {
     for (const thing of things) {
-      if (thing && "framebuffer" in thing) {
-        this.gl.deleteFramebuffer(thing.framebuffer);
-      } else if (thing) {
-        this.gl.deleteTexture(thing);
-      }
+      if (!thing) continue;
+      if ("handle" in thing) gl.deleteTexture(thing.handle);
+      if ("framebuffer" in thing) gl.deleteFramebuffer(thing.framebuffer);
+      if ("vertices" in thing) gl.deleteVertexArray(thing.vertices);
+      if ("buffers" in thing) thing.buffers.forEach((buffer) => gl.deleteBuffer(buffer));
     }
   }
 
-  /** @param {number} kind @param {boolean} smooth */
-  _clamp(kind, smooth) {
-    const { gl } = this;
-    const filter = smooth ? gl.LINEAR : gl.NEAREST;
-    gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, filter);
-    gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, filter);
-    gl.texParameteri(kind, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-    gl.texParameteri(kind, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
-  }
+  return {
+    gl, renderer, compose, program, screen, forget, into, draw, drawMesh, texture, write, target,
+      triangles, free,
+    /** What is between two passes, and what is filtered. */
+    exact: /** @type {Format} */ (hasFloats ? "RGBA32F" : "RGBA16F"),
+    pairs: /** @type {Format} */ (hasFloats ? "RG32F" : "RG16F"),
+    smooth: /** @type {Format} */ (isFiltered ? "RGBA32F" : "RGBA16F"),
+    /** Whether the processor draws. */
+    isSoftware: /swiftshader|llvmpipe|software|basic render/i.test(renderer),
+  };
 }

@@ -1,14 +1,15 @@
 /**
- * The latent stream: a few bytes to a face, and back. Every frame is decoded alone, in whole numbers
- * below 2^53, which floats hold exactly; so all receivers see the same face. The format is that of
- * docs/wire.md; `pica_core.codec` is the Python side.
+ * The latent stream: a few bytes to a face, and back. Every frame is decoded alone, in whole
+ * numbers below 2^53, which floats hold exactly; so all receivers see the same face. The format is
+ * that of docs/wire.md; `pica_core.codec` is the Python side.
  */
 
 /** @typedef {ArrayLike<number>} Numbers */
 /**
  * A face at one moment. Its 262 values: the latent (8 rows, 8 columns, 4 channels), the rotation
  * from head to seat (a rotation vector, radians) and the translation (metres).
- * @typedef {{values: Float32Array, isStill: boolean}} Sample Still: nothing changes until the next one.
+ * @typedef {{values: Float32Array, isStill: boolean}} Sample Still: nothing changes until the next
+ * one.
  */
 /** @typedef {{frequencies: number[], starts: number[], symbols: Uint8Array}} Table */
 /** @typedef {[start: number, frequency: number]} Range */
@@ -47,7 +48,8 @@ export class LatentError extends Error {}
 
 /** @type {(frequencies: number[]) => Table} */
 function tableOf(frequencies) {
-  const starts = frequencies.map((_, symbol) => frequencies.slice(0, symbol).reduce((a, b) => a + b, 0));
+  const starts =
+    frequencies.map((_, symbol) => frequencies.slice(0, symbol).reduce((a, b) => a + b, 0));
   const symbols = new Uint8Array(TOTAL);
   starts.forEach((start, symbol) => symbols.fill(symbol, start, start + frequencies[symbol]));
   return { frequencies, starts, symbols };
@@ -69,7 +71,8 @@ export function coefficientTable(index) {
     const zero = 1 + 3 * Math.floor(index / 11);
     const ratio = 1 + 3 * (index % 11);
     const weights = [2 ** 30];
-    while (weights.length < ESCAPE) weights.push(Math.floor((weights[weights.length - 1] * ratio) / 32));
+    while (weights.length < ESCAPE)
+      weights.push(Math.floor((weights[weights.length - 1] * ratio) / 32));
     weights[ESCAPE - 1] = Math.floor((weights[ESCAPE - 1] * 32) / (32 - ratio));
     const sum = weights.reduce((a, b) => a + b);
     const spare = (TOTAL - 2 * ESCAPE - 1) * (32 - zero);
@@ -91,7 +94,8 @@ export class StreamProfile {
     const indices = Array.from(tensor("stream.table_index"));
     const [shift] = Array.from(tensor("stream.synthesis_shift"));
     if (indices.some((index) => index >= NUM_TABLES) || !(shift >= 0 && shift <= MAX_SHIFT)) {
-      throw new Error(`stream.table_index is beyond ${NUM_TABLES - 1}, or its shift beyond ${MAX_SHIFT}`);
+      throw new Error(
+        `stream.table_index is beyond ${NUM_TABLES - 1}, or its shift beyond ${MAX_SHIFT}`);
     }
     this.count = indices.length / 6;
     this.tables = Array.from({ length: this.count }, (_, k) =>
@@ -105,8 +109,12 @@ export class StreamProfile {
 
 /** The symbols of one payload, in order. @param {Uint8Array} payload */
 function openPayload(payload) {
-  if (payload.length > MAX_PAYLOAD_BYTES) throw new LatentError(`payload of ${payload.length} bytes`);
-  if (payload.length && !payload[payload.length - 1]) throw new LatentError("payload ends with a zero byte");
+  if (payload.length > MAX_PAYLOAD_BYTES) {
+    throw new LatentError(`payload of ${payload.length} bytes`);
+  }
+  if (payload.length && !payload[payload.length - 1]) {
+    throw new LatentError("payload ends with a zero byte");
+  }
   let [next, width, code] = [6, FULL_RANGE, 0];
   for (let at = 0; at < next; at++) code = code * 256 + (payload[at] ?? 0);
   const slot = () => {
@@ -210,7 +218,8 @@ export function decodeFace(profile, payload) {
   return { values, isStill };
 }
 
-/** Write a face, 262 values, as one frame, at the quality that senders use. @param {StreamProfile} profile @param {Float32Array} values */
+/** Write a face, 262 values, as one frame, at the quality that senders use.
+ * @param {StreamProfile} profile @param {Float32Array} values */
 export function encodeFace(profile, values) {
   const { mean, analysis, count } = profile;
   const steps = stepsOf(DEFAULT_QUALITY, count);
@@ -245,12 +254,14 @@ export function encodeFace(profile, values) {
     if (!(header & HAS_POSE)) return;
     const length = bitLength(Math.abs(value));
     ranges.push(rangeOf(POSE_TABLES[i], length));
-    if (length) ranges.push(uniform(value < 0 ? 1 : 0, 1), uniform(Math.abs(value) - 2 ** (length - 1), length - 1));
+    if (length) ranges.push(uniform(value < 0 ? 1 : 0, 1),
+      uniform(Math.abs(value) - 2 ** (length - 1), length - 1));
   });
   return writeSymbols(ranges);
 }
 
-/** A coefficient in steps, one nearer to 0 where the bits are worth the error. @param {Table} table @param {number} value @param {number} exact Without its sign. */
+/** A coefficient in steps, one nearer to 0 where the bits are worth the error.
+ * @param {Table} table @param {number} value @param {number} exact Without its sign. */
 function thrifty({ frequencies }, value, exact) {
   const magnitude = Math.abs(value);
   const grown = 1 - 2 * (magnitude - exact);

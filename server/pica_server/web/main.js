@@ -1,23 +1,23 @@
 /**
- * The page: from a link to a call. A link is `https://RELAY/ROOM#token=…&secret=…`; what stands behind
- * `#` never leaves the browser but in the join. `?tile=NAME&background=transparent` or `green` shows
- * one participant alone, for a browser source of OBS.
+ * The page: from a link to a call. A link is `https://RELAY/ROOM#token=…&secret=…`; what stands
+ * behind `#` never leaves the browser but in the join. `?tile=NAME&background=transparent` or
+ * `green` shows one participant alone, for a browser source of OBS.
  */
 
-import { openAvatar } from "./avatar.js";
-import { loadShaders, Picture } from "./picture.js";
+import { Call } from "./call.js";
+import { Picture } from "./scene.js";
 import { CallView, element } from "./ui.js";
-
-/** @import { Avatar } from "./avatar.js" */
-/** @import { CallSurface } from "./types.js" */
 
 const query = new URLSearchParams(location.search);
 const fragment = new URLSearchParams(location.hash.slice(1));
 const tile = query.get("tile");
-const room = decodeURIComponent(location.pathname.split("/").pop() ?? "") || fragment.get("room") || "";
-const texts = loadShaders();
+const room = decodeURIComponent(location.pathname.split("/").pop() ?? "")
+  || fragment.get("room") || "";
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
-/** @type {Picture | null} */
+/** @param {string} name Of a file that the relay made beside the modules. */
+const load = async (name) => (await fetch(new URL(name, import.meta.url))).json();
+const shaders = load("shaders.json");
+/** Only one, for a browser lends out few contexts. @type {Picture | null} */
 let picture = null;
 
 /** One clear line, in the form. @param {unknown} problem */
@@ -27,60 +27,44 @@ function complain(problem) {
   element("join").hidden = false;
 }
 
-/** Offer the avatars that ship. */
-async function offerAvatars() {
-  /** @type {Record<string, string>} */
-  const ids = await (await fetch(new URL("avatars.json", import.meta.url))).json();
-  element("avatar").append(...Object.entries(ids).map(([name, id]) => new Option(name, id)));
-}
-
-/** @param {string} name @param {string} [avatarId] */
-async function enter(name, avatarId = "") {
-  // Only once, for a browser lends out few contexts.
-  picture ??= new Picture(element("picture"), await texts, tile !== null);
-  const { Call } = await import("./call.js");
-  /** @type {CallSurface<Avatar> & EventTarget} */
-  const call = new Call({ openAvatar, base: new URL(".", location.href) });
+/** @param {string} name @param {string} avatarId */
+async function enter(name, avatarId) {
+  const call = new Call(new URL(".", location.href));
+  call.join({ room, token: fragment.get("token") ?? "", secret: fragment.get("secret")
+    ?? "", name, avatarId });
   element("join").hidden = true;
   element("call").hidden = false;
-  const view = new CallView(call, picture, () => call.leave());
-  call.addEventListener("status", () => {
+  try {
+    picture ??= new Picture(element("picture"), await shaders, tile !== null);
+  } catch (error) {
+    call.leave();
+    throw error;
+  }
+  const drawn = picture;
+  const view = new CallView(call, drawn);
+  if (tile === null) void call.voice.start();
+  const frame = () => {
     if (call.status.state === "ended") {
       view.close();
       complain(call.status.reason || "You left the call.");
-    }
-  });
-  call.join({ room, token: fragment.get("token") ?? "", secret: fragment.get("secret") ?? "", name, avatarId });
-  if (tile === null) {
-    void call.voice.start().catch(() => view.refresh());
-  }
-  show(call, view, picture);
-}
-
-/** Draw frame after frame until the call ends. @param {CallSurface<Avatar>} call @param {CallView} view @param {Picture} drawn */
-function show(call, view, drawn) {
-  const frame = () => {
-    if (call.status.state === "ended") {
       return;
     }
     requestAnimationFrame(frame);
-    const people = call.participants.filter(({ avatarId, name }) => (tile === null ? avatarId !== "" : name === tile));
-    drawn.isCalm = calm.matches;
-    const wanted = tile === null ? view.wanted : { ...view.wanted, layout: /** @type {const} */ ("grid"), self: null, free: {} };
+    const people = call.participants.filter((person) => tile === null || person.name === tile);
+    view.wanted.isCalm = calm.matches;
+    const wanted = tile === null ? view.wanted
+      : { ...view.wanted, layout: /** @type {const} */ ("grid"), self: null, free: 0 };
     const labels = drawn.draw(people, wanted, performance.now() / 1000);
-    if (labels && tile === null) {
-      view.place(labels);
-    }
+    if (labels && tile === null) view.place(labels);
   };
-  requestAnimationFrame(frame);
+  frame();
 }
 
-/** The name of last time, where the browser keeps such things. @param {string} [name] The one to keep. */
-function remembered(name) {
+/** The name of last time, where the browser keeps such things. @param {string} name The one to
+ * keep. */
+function remembered(name = "") {
   try {
-    if (name !== undefined) {
-      localStorage.setItem("name", name);
-    }
+    if (name) localStorage.setItem("name", name);
     return localStorage.getItem("name") ?? "";
   } catch {
     return "";
@@ -94,19 +78,24 @@ function begin() {
   document.body.classList.toggle("tile", tile !== null);
   document.body.classList.toggle("green", tile !== null && query.get("background") === "green");
   if (tile !== null) {
-    enter(query.get("name") ?? `Camera of ${tile}`.slice(0, 64)).catch(complain);
+    enter(query.get("name") ?? `Camera of ${tile}`.slice(0, 64), "").catch(complain);
     return;
   }
-  const name = /** @type {HTMLInputElement} */ (element("name"));
+  /** @type {HTMLInputElement} */
+  const name = element("name");
+  /** @type {HTMLSelectElement} */
+  const avatar = element("avatar");
   name.value = remembered();
   element("join").hidden = false;
-  offerAvatars().catch(() => {}); // one may join without
+  // One may join without.
+  load("avatars.json").then((ids) => {
+    avatar.append(...Object.entries(ids).map(([text, id]) => new Option(text, id)));
+  }, () => {});
   element("join").addEventListener("submit", (event) => {
     event.preventDefault();
     remembered(name.value);
     element("problem").textContent = "";
-    const { value } = /** @type {HTMLSelectElement} */ (element("avatar"));
-    enter(name.value.trim(), value).catch(complain);
+    enter(name.value.trim(), avatar.value).catch(complain);
   });
 }
 

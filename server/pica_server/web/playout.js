@@ -21,22 +21,21 @@ const [LEAP_S, FASTER, SLOWER] = [0.25, 0.1, 0.25];
 const [LED_LEAP_S, LED_RATE] = [0.04, 1];
 const [SMOOTHING, MAX_STEP_S] = [0.1, 0.25];
 
-/** One plus the weighted other. @type {(one: Float32Array, other: Float32Array, weight: number) => Float32Array} */
+/** One plus the weighted other. @type {(one: Float32Array, other: Float32Array, weight: number) =>
+ * Float32Array} */
 const added = (one, other, weight) => one.map((value, i) => value + weight * other[i]);
 /** @param {Float32Array} values */
 const largest = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
 
 /** Frames shown and to be shown, in order. */
 class Timeline {
-  constructor() {
-    /** @type {Placed[]} */
-    this.frames = [];
-    this.numShown = 0;
-    /** Median time between frames. */
-    this.intervalS = 0;
-    /** @type {number[]} */
-    this.gaps = [];
-  }
+  /** @type {Placed[]} */
+  frames = [];
+  numShown = 0;
+  /** Median time between frames. */
+  intervalS = 0;
+  /** @type {number[]} */
+  gaps = [];
 
   /** The newest frame that counts as shown; none before the first is due. */
   get held() {
@@ -57,7 +56,8 @@ class Timeline {
     return true;
   }
 
-  /** What follows a still frame is a silence on purpose, and no gap. @param {Placed | null} last @param {Placed} frame */
+  /** What follows a still frame is a silence on purpose, and no gap. @param {Placed | null} last
+   * @param {Placed} frame */
   noteGap(last, { mediaS }) {
     if (last === null || last.isStill || mediaS <= last.mediaS) return;
     this.gaps = [...this.gaps, mediaS - last.mediaS].slice(-NUM_GAPS);
@@ -72,7 +72,8 @@ class Timeline {
     this.numShown -= numOld;
   }
 
-  /** The face of a moment, and whether it is on its way to the next frame. @param {number} mediaS */
+  /** The face of a moment, and whether it is on its way to the next frame.
+   * @param {number} mediaS */
   faceAt(mediaS) {
     const place = Math.max(this.countTo(mediaS) - 1, 0);
     const [before, after] = this.frames.slice(place, place + 2);
@@ -89,26 +90,26 @@ class Timeline {
 
 /** The playout buffer of one stream. */
 export class Playout {
-  constructor() {
-    this.clock = new SenderClock();
-    this.timeline = new Timeline();
-    /** @type {Placed | null} */
-    this.last = null;
-    /** The display's moment on the time line, when that was, and the mean time between two. */
-    this.positionS = -Infinity;
-    this.drawnS = -Infinity;
-    this.stepS = 0;
-    /** @type {Float32Array | null} */
-    this.shown = null;
-    /** Where the face shown comes to rest. */
-    this.endS = Infinity;
-    this.isPathNew = false;
-    /** What takes the face shown back to where it should be, and for how long. @type {Float32Array | null} */
-    this.offset = null;
-    this.leftS = 0;
-  }
+  clock = new SenderClock();
+  timeline = new Timeline();
+  /** @type {Placed | null} */
+  last = null;
+  /** The display's moment on the time line, when that was, and the mean time between two. */
+  positionS = -Infinity;
+  drawnS = -Infinity;
+  stepS = 0;
+  /** @type {Float32Array | null} */
+  shown = null;
+  /** Where the face shown comes to rest. */
+  endS = Infinity;
+  isPathNew = false;
+  /** What takes the face shown back to where it should be, and for how long. @type {Float32Array |
+   * null} */
+  offset = null;
+  leftS = 0;
 
-  /** @param {{sequence: number, capturedUs: number}} frame @param {Sample} sample @param {number} now */
+  /** @param {{sequence: number, capturedUs: number}} frame @param {Sample} sample
+   * @param {number} now */
   receive(frame, sample, now) {
     const mediaS = this.clock.place(frame, now);
     const placed = { ...sample, mediaS: mediaS ?? 0 };
@@ -122,7 +123,8 @@ export class Playout {
   /**
    * The face to show next, or null before the first frame is due.
    * @param {number} now
-   * @param {number | null} heardUs The moment, on the sender's clock, of the voice that is heard when
+   * @param {number | null} heardUs The moment, on the sender's clock, of the voice that is heard
+   * when
    *     this face is seen. It leads.
    */
   sampleAt(now, heardUs = null) {
@@ -133,7 +135,9 @@ export class Playout {
     const isLed = Math.abs(heardS - ownS) <= MAX_LED_S;
     let shouldS = isLed ? Math.min(Math.max(ownS, heardS - MAX_LAG_S), heardS) : ownS;
     if (!timeline.held && !(timeline.frames[0].mediaS <= shouldS)) return null;
-    if (this.slackS > 0) shouldS = Math.min(shouldS, timeline.frames[timeline.frames.length - 1].mediaS);
+    if (this.slackS > 0) {
+      shouldS = Math.min(shouldS, timeline.frames[timeline.frames.length - 1].mediaS);
+    }
     const step = this.advance(now, shouldS, isLed);
     timeline.release(this.positionS);
     const meant = timeline.faceAt(this.positionS);
@@ -158,7 +162,8 @@ export class Playout {
     return Math.max(Math.min(waitS, CEILING_S) - this.slackS, FLOOR_S);
   }
 
-  /** Move the display's moment towards the one that should be shown. @type {(now: number, shouldS: number, isLed: boolean) => {elapsedS: number, movedS: number, isLeap: boolean}} */
+  /** Move the display's moment towards the one that should be shown. @type {(now: number, shouldS:
+   * number, isLed: boolean) => {elapsedS: number, movedS: number, isLeap: boolean}} */
   advance(now, shouldS, isLed) {
     if (this.positionS === -Infinity) {
       [this.positionS, this.drawnS] = [shouldS, now];
@@ -183,7 +188,8 @@ export class Playout {
 
   /**
    * What is meant, plus what is left of the way from what was shown.
-   * @param {Float32Array} meant @param {Float32Array | null} before What is meant now for the moment
+   * @param {Float32Array} meant @param {Float32Array | null} before What is meant now for the
+   * moment
    *     that was shown, where that has changed. @param {number} elapsedS
    */
   corrected(meant, before, elapsedS) {
@@ -204,7 +210,8 @@ export class Playout {
     return added(meant, this.offset, 1);
   }
 
-  /** Whether a frame is missing; notes where the face rests. @param {number} dueS Frames captured before it should have come. @param {boolean} isUnderWay */
+  /** Whether a frame is missing; notes where the face rests. @param {number} dueS Frames captured
+   * before it should have come. @param {boolean} isUnderWay */
   isConcealed(dueS, isUnderWay) {
     const { held, intervalS } = this.timeline;
     const pastS = dueS - held.mediaS;

@@ -1,132 +1,135 @@
 /**
- * The people of a call on their way to the picture: who is ready, who sits where, what is decoded and
- * drawn; as `ui/avatar_presenter.py` does it. Knows no page and no loop.
+ * The people of a call on their way to the canvas: who is ready, who sits where, what is decoded
+ * and drawn, as `ui/avatar_presenter.py` does it; and the canvas, whose context may be lost.
  */
 
-import { Head, LISTENER_S, Scheduler, seeHeads } from "./schedule.js";
-import { headRect, nearing, orbitLimits, planCamera, planSeats, SHOULDERS_M, USUAL_SPAN } from "./seats.js";
+import { LEVELS } from "./avatar.js";
+import { openRenderer } from "./draw.js";
+import { DrawError, openGraphics } from "./gl.js";
+import { CostModel, Head, LISTENER_S, Scheduler, seeHeads } from "./schedule.js";
+import { HOME, headRect, nearing, orbitLimits, planCamera, planSeats, SHOULDERS_M,
+  USUAL_SPAN } from "./seats.js";
 import { clamp, column, headMatrix } from "./space.js";
 
 /** @import { Avatar } from "./avatar.js" */
+/** @import { Face, Member } from "./call.js" */
 /** @import { Placement, Renderer, View } from "./draw.js" */
 /** @import { Target } from "./gl.js" */
-/** @import { FreeShares, Layout, Orbit, SeatPlan } from "./seats.js" */
-/** @import { Camera, Matrix } from "./space.js" */
-/** @import { Face, Participant } from "./types.js" */
-/** @typedef {Participant<Avatar>} Person */
+/** @import { Layout, Orbit, SeatPlan } from "./seats.js" */
+/** @import { Matrix } from "./space.js" */
+/** @typedef {Member} Person */
 /**
  * @typedef {object} Wanted What the user wants to see.
  * @property {Layout} layout
  * @property {string} pinned The id of the one who fills the picture; empty for none.
  * @property {Orbit} orbit
- * @property {Partial<FreeShares>} free
+ * @property {number} free The part of the height below that is kept free.
  * @property {Person | null} self Whom the small picture in the lower left corner shows.
  * @property {number} rise How far above the lower border that is, part of the height.
+ * @property {boolean} isCalm Whether people take their seats at once.
  */
-/** @typedef {{person: Person, rect: number[] | null}} Label A participant, and left, top, right, bottom of where they may be, pixels. */
+/** @typedef {{person: Person, rect: number[] | null, hasFace: boolean}} Label A participant, and
+ * left, top, right, bottom of where they may be, pixels. */
 /** @typedef {{placement: Placement, entry: Entry, person: Person}} Placed */
 
-/** @type {Record<string, number>} */
-const FADE_OF_STATUS = { waiting: 0.6, stale: 0.8, away: 0.4 };
+const [MAX_PX, BUDGET_SHARE] = [3840 * 2160, 0.6];
+const [SOFTWARE_FPS, DISPLAY_FPS] = [30, 60];
+const FADE_OF_STATUS = { waiting: 0.6, live: 0, stale: 0.8, away: 0.4 };
 const [FADE_S, GLOW_STEPS, SETTLE_S] = [0.5, 4, 0.15];
 const SELF_SHARE = 0.2;
 
 /** What is kept of a person from frame to frame. */
 class Entry {
-  constructor() {
-    /** @type {Avatar | null} */
-    this.avatar = null;
-    /** @type {Head | null} */
-    this.head = null;
-    /** @type {Face | null} */
-    this.face = null;
-    this.shouldersM = SHOULDERS_M;
-    this.span = USUAL_SPAN;
-    this.problem = "";
-    this.fade = FADE_OF_STATUS.waiting;
-    this.glow = 0;
-    this.turn = 0;
-    /** @type {Matrix | null} */
-    this.seat = null;
-  }
+  /** @type {Avatar | null} */
+  avatar = null;
+  /** @type {Head | null} */
+  head = null;
+  /** @type {Face | null} */
+  face = null;
+  shouldersM = SHOULDERS_M;
+  span = USUAL_SPAN;
+  problem = "";
+  fade = FADE_OF_STATUS.waiting;
+  glow = 0;
+  turn = 0;
+  /** @type {Matrix | null} */
+  seat = null;
 }
 
+/** All that is on the GPU, and what is drawn of a call. */
 export class Scene {
+  costs = new CostModel();
+  scheduler = new Scheduler(this.costs);
+  isMeasured = false;
+  /** @type {Map<string, Entry>} */
+  entries = new Map();
+  /** @type {{plan: SeatPlan, aspect: number} | null} */
+  settled = null;
+  drawnS = -Infinity;
+
   /** @param {Renderer} renderer */
   constructor(renderer) {
-    this._renderer = renderer;
-    this.scheduler = new Scheduler();
-    /** @type {Map<string, Entry>} */
-    this._entries = new Map();
-    /** @type {{plan: SeatPlan, size: string} | null} */
-    this._settled = null;
-    this._drawnS = -Infinity;
-    /** Whether people take their seats at once. */
-    this.isCalm = false;
+    this.renderer = renderer;
   }
 
-  /** Why a participant is a placeholder; empty if nothing is wrong. @param {string} id */
-  problemOf(id) {
-    return this._entries.get(id)?.problem ?? "";
-  }
-
-  /**
-   * Plan, decode and draw a frame.
-   * @param {Person[]} people @param {Wanted} wanted @param {Target} target
-   * @param {number} budgetS What decoding and drawing may take. @param {number} now
-   * @param {((camera: Camera, target: Target) => View[])} [viewsOf] For a headset, what its eyes see.
-   */
-  draw(people, wanted, target, budgetS, now, viewsOf) {
+  /** Plan, decode and draw a frame. @param {Person[]} people @param {Wanted} wanted
+   * @param {Target} target @param {number} budgetS @param {number} now */
+  draw(people, wanted, target, budgetS, now) {
     const { width, height } = target;
-    const sinceS = now - this._drawnS;
-    this._drawnS = now;
-    const all = wanted.self && !people.includes(wanted.self) ? [...people, wanted.self] : people;
-    this._refresh(all, now);
-    const entries = people.map(({ id }) => /** @type {Entry} */ (this._entries.get(id)));
-    const plan = this._seat(people, entries, wanted, width / height, sinceS);
-    const limits = orbitLimits(plan, entries.map(({ span }) => span));
-    const camera = planCamera(plan, wanted.orbit, width, height, limits);
-    const placed = people.map((person, index) => this._place(person, entries[index], plan.seats[index], sinceS));
+    const sinceS = now - this.drawnS;
+    this.drawnS = now;
+    this.refresh(wanted.self ? [...people, wanted.self] : people, now);
+    const entries = people.map(({ id }) => /** @type {Entry} */ (this.entries.get(id)));
+    const plan = this.seat(people, entries, wanted, width / height, sinceS);
+    const camera = planCamera(plan, wanted.orbit, width, height,
+      orbitLimits(plan, entries.map(({ span }) => span)));
+    const placed = people.map((person, index) => this.place(person, plan.seats[index], sinceS));
     /** @type {View[]} */
-    const views = viewsOf ? viewsOf(camera, target) : [{ camera, rect: [0, 0, width, height], slots: new Set(people.map(({ id }) => id)) }];
-    const cameras = views.map((view) => view.camera);
-    if (wanted.self && !viewsOf) {
-      const own = this._placeSelf(wanted.self, target, wanted.rise, sinceS);
-      placed.push(own.placed);
-      views.push(own.view);
+    const views =
+      [{ camera, rect: [0, 0, width, height], slots: new Set(people.map(({ id }) => id)) }];
+    if (wanted.self) {
+      const side = Math.round(Math.min(width, height) * SELF_SHARE);
+      const inset = Math.round(side / 10);
+      const bottom = inset + Math.round(wanted.rise * height);
+      const own = planSeats("grid", 1, 1);
+      placed.push(this.place(wanted.self, own.seats[0], sinceS));
+      views.push({
+        camera: planCamera(own, HOME, side, side, [0, 0, 0, 0]),
+        rect: [inset, bottom, inset + side, bottom + side], slots: new Set([wanted.self.id]),
+      });
     }
-    const { requests, shadedPx } = this._plan(placed, cameras, views, budgetS, now);
-    this._renderer.decode(requests);
+    const { requests, shadedPx } = this.plan(placed, views, budgetS, now);
+    this.renderer.decode(requests);
     for (const { placement, entry: { head } } of placed) {
       placement.scale = head?.choice?.scale ?? 1;
     }
-    const room = { places: plan.seats.map((seat) => column(seat, 3)), speaking: entries.map(({ glow }) => Math.ceil(GLOW_STEPS * glow) / GLOW_STEPS) };
-    const drawn = this._renderer.draw(placed.map(({ placement }) => placement), views, room, target);
-    const decodesS = requests.reduce((sum, { level, isBoth }) => sum + this.scheduler.costs.decodeS(level, isBoth ? "both" : "expression"), 0);
-    /** @type {Label[]} */
-    const labels = people.map((person, index) => ({ person, rect: headRect(camera, plan.seats[index]) }));
-    return { ...drawn, labels, decodesS, shadedPx, numDecoded: requests.length };
+    const speaking = entries.map(({ glow }) => Math.ceil(GLOW_STEPS * glow) / GLOW_STEPS);
+    const room = { places: plan.seats.map((seat) => column(seat, 3)), speaking };
+    const drawn = this.renderer.draw(placed.map(({ placement }) => placement), views, room, target);
+    const decodesS = requests.reduce((sum, { level, isBoth }) =>
+      sum + this.costs.decodeS(level, isBoth ? "both" : "expression"), 0);
+    const labels = people.map((person, index) => {
+      const hasFace = Boolean(entries[index].head && entries[index].face);
+      return { person, rect: headRect(camera, plan.seats[index]), hasFace };
+    });
+    return { ...drawn, labels, decodesS, shadedPx };
   }
 
-  /** Take the faces of now; avatars are made ready, one a frame. @param {Person[]} people @param {number} now */
-  _refresh(people, now) {
-    for (const id of this._entries.keys()) {
-      if (!people.some((person) => person.id === id)) {
-        this._renderer.remove(id);
-        this._entries.delete(id);
-      }
+  /** Take the faces of now; avatars are made ready, one a frame. @param {Person[]} people
+   * @param {number} now */
+  refresh(people, now) {
+    for (const id of this.entries.keys()) {
+      if (people.some((person) => person.id === id)) continue;
+      this.renderer.remove(id);
+      this.entries.delete(id);
     }
     let hasAdded = false;
     people.forEach((person, index) => {
-      let entry = this._entries.get(person.id);
-      if (!entry) {
-        entry = new Entry();
-        this._entries.set(person.id, entry);
-        this._renderer.add(person.id, null);
-      }
-      if (person.avatar !== entry.avatar && !hasAdded) {
+      const entry = this.entries.get(person.id) ?? new Entry();
+      this.entries.set(person.id, entry);
+      if (person.avatar && person.avatar !== entry.avatar && !hasAdded) {
         hasAdded = true;
-        this._dress(person, entry);
+        this.dress(person.id, person.avatar, entry);
       }
       const face = person.faceAt(now);
       // While not everybody can be drawn at every face, listeners keep theirs for a turn.
@@ -137,81 +140,162 @@ export class Scene {
     });
   }
 
-  /** Put a person's avatar on the GPU. @param {Person} person @param {Entry} entry */
-  _dress({ id, avatar }, entry) {
+  /** Put a person's avatar on the GPU. @param {string} id @param {Avatar} avatar
+   * @param {Entry} entry */
+  dress(id, avatar, entry) {
     Object.assign(entry, { avatar, head: null, problem: "" });
     try {
-      this._renderer.add(id, avatar);
-      if (avatar) {
-        this.scheduler.costs.observeDecode(256, "both", this._renderer.measureDecode(id));
-        entry.head = new Head(id, avatar);
-        entry.shouldersM = avatar.bust().widthM;
-        entry.span = avatar.manifest.view_span;
-      }
+      this.renderer.add(id, avatar);
+      if (!this.isMeasured) this.costs.observeDecode(this.renderer.measureDecode(id));
+      this.isMeasured = true;
+      entry.head =
+        new Head(id, avatar.manifest, LEVELS.map((level) => avatar.faces(level).length / 3));
+      entry.shouldersM = avatar.bust().widthM;
+      entry.span = avatar.manifest.view_span;
     } catch (error) {
       entry.problem = error instanceof Error ? error.message : String(error);
-      this._renderer.add(id, null);
+      this.renderer.remove(id);
     }
   }
 
-  /** Seats on their way to where people should be; at once on a picture of another size. @param {Person[]} people @param {Entry[]} entries @param {Wanted} wanted @param {number} aspect @param {number} sinceS */
-  _seat(people, entries, { layout, pinned, free }, aspect, sinceS) {
-    const shouldersM = Math.max(...entries.map((entry) => entry.shouldersM), entries.length ? 0 : SHOULDERS_M);
-    const goal = planSeats(layout, people.length, aspect, { pinned: people.findIndex(({ id }) => id === pinned), free, shouldersM });
-    let plan = goal;
-    if (this._settled?.size === String(aspect) && people.length && entries.some(({ seat }) => seat)) {
-      const seats = goal.seats.map((seat, index) => entries[index].seat ?? seat);
-      plan = nearing({ ...this._settled.plan, seats }, goal, this.isCalm ? 1 : 1 - Math.exp(-sinceS / SETTLE_S));
+  /** Seats on their way to where people should be; at once on a picture of another size.
+   * @param {Person[]} people @param {Entry[]} entries @param {Wanted} wanted
+   * @param {number} aspect @param {number} sinceS */
+  seat(people, entries, { layout, pinned, free, isCalm }, aspect, sinceS) {
+    const shouldersM = entries.length ? Math.max(...entries.map((entry) => entry.shouldersM))
+      : SHOULDERS_M;
+    let plan = planSeats(layout, people.length, aspect, free,
+      people.findIndex(({ id }) => id === pinned), shouldersM);
+    if (this.settled?.aspect === aspect && entries.some(({ seat }) => seat)) {
+      const seats = plan.seats.map((seat, index) => entries[index].seat ?? seat);
+      plan = nearing({ ...this.settled.plan, seats }, plan, isCalm ? 1
+        : 1 - Math.exp(-sinceS / SETTLE_S));
     }
-    this._settled = { plan, size: String(aspect) };
+    this.settled = { plan, aspect };
     entries.forEach((entry, index) => (entry.seat = plan.seats[index]));
     return plan;
   }
 
-  /** @param {Person} person @param {Entry} entry @param {Matrix} seat @param {number} sinceS @returns {Placed} */
-  _place(person, entry, seat, sinceS) {
+  /** @param {Person} person @param {Matrix} seat @param {number} sinceS @returns {Placed} */
+  place(person, seat, sinceS) {
+    const entry = /** @type {Entry} */ (this.entries.get(person.id));
     const { face } = entry;
     const step = sinceS / FADE_S;
-    const status = person.isAway ? "stale" : face?.status ?? "waiting";
-    entry.fade += clamp((FADE_OF_STATUS[status] ?? 0) - entry.fade, -step, step);
+    entry.fade += clamp(FADE_OF_STATUS[face?.status ?? "waiting"] - entry.fade, -step, step);
     entry.glow += clamp((person.isSpeaking ? 1 : 0) - entry.glow, -step, step);
-    const matrix = headMatrix(seat, face?.rotation ?? [0, 0, 0], face?.translation ?? [0, 0, 0]);
+    const matrix = headMatrix(seat, face?.values.subarray(256) ?? [0, 0, 0, 0, 0, 0]);
     return { person, entry, placement: { slot: person.id, matrix, fade: entry.fade, scale: 1 } };
   }
 
-  /** Oneself in the lower left corner, seen from the front. @param {Person} self @param {Target} target @param {number} rise @param {number} sinceS */
-  _placeSelf(self, { width, height }, rise, sinceS) {
-    const side = Math.round(Math.min(width, height) * SELF_SHARE);
-    const plan = planSeats("grid", 1, 1);
-    const camera = planCamera(plan, { yaw: 0, pitch: 0, zoom: 1 }, side, side, [0, 0, 0, 0]);
-    const placed = this._place(self, /** @type {Entry} */ (this._entries.get(self.id)), plan.seats[0], sinceS);
-    const inset = Math.round(side / 10);
-    const bottom = inset + Math.round(rise * height);
-    /** @type {View} */
-    const view = { camera, rect: [inset, bottom, inset + side, bottom + side], slots: new Set([self.id]) };
-    return { placed, view };
+  /** What is decoded now; streams are told what is wanted of them. @param {Placed[]} placed
+   * @param {View[]} views @param {number} budgetS @param {number} now */
+  plan(placed, views, budgetS, now) {
+    const ready = placed.filter(({ entry: { head, face } }) => head && face);
+    const heads = ready.map(({ placement, entry, person }) => {
+      const { head, face } = /** @type {{head: Head, face: Face}} */ (entry);
+      [head.matrix, head.latent, head.isListening] =
+        [placement.matrix, face.values.subarray(0, 256), !person.isSpeaking];
+      return head;
+    });
+    for (const { camera, slots } of views) {
+      seeHeads(heads.filter(({ slot }) => slots.has(slot)), camera);
+    }
+    const { shadedPx } = this.scheduler.plan(heads, budgetS, now);
+    ready.forEach(({ person }, index) => person.want(heads[index].choice?.every ?? 1));
+    heads.sort((a, b) => b.sight.headPx - a.sight.headPx);
+    return { requests: heads.flatMap((head) => head.request(now) ?? []), shadedPx };
+  }
+}
+
+/** The canvas of a call: its size, its context that may be lost, and frame after frame. */
+export class Picture {
+  numDrawn = 0;
+  /** @type {WebGLSync | null} */
+  fence = null;
+
+  /**
+   * @param {HTMLCanvasElement} canvas @param {Record<string, string>} texts Of the shaders. @param
+   * {boolean} isTile Without a room.
+   * @throws {DrawError} This browser cannot draw.
+   */
+  constructor(canvas, texts, isTile) {
+    const gl = canvas.getContext("webgl2",
+      { antialias: false, depth: false, powerPreference: "high-performance" });
+    if (!gl) throw new DrawError(
+      "This browser draws no 3D (WebGL 2): try a current Firefox, Chrome or Safari.");
+    this.canvas = canvas;
+    this.gl = gl;
+    const open = () => {
+      const graphics = openGraphics(gl, texts);
+      this.fps = graphics.isSoftware ? SOFTWARE_FPS : DISPLAY_FPS;
+      return new Scene(openRenderer(graphics, !isTile));
+    };
+    /** All that is on the GPU, made again after a context was lost. */
+    this.scene = open();
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.fence = null;
+    });
+    canvas.addEventListener("webglcontextrestored", () => (this.scene = open()));
   }
 
-  /** What is decoded now; streams are told what is wanted of them. @param {Placed[]} placed @param {Camera[]} cameras @param {View[]} views @param {number} budgetS @param {number} now */
-  _plan(placed, cameras, views, budgetS, now) {
-    const heads = placed.flatMap(({ placement, entry, person }) => {
-      const { head, face } = entry;
-      if (!head || !face) {
-        return [];
-      }
-      [head.matrix, head.latent, head.isListening] = [placement.matrix, face.latent, !person.isSpeaking];
-      return [{ head, person }];
-    });
-    const own = views.length > cameras.length ? views[views.length - 1] : null;
-    const isOwn = (/** @type {Head} */ { slot }) => own?.slots?.has(slot) ?? false;
-    seeHeads(heads.flatMap(({ head }) => (isOwn(head) ? [] : [head])), cameras);
-    if (own) {
-      seeHeads(heads.flatMap(({ head }) => (isOwn(head) ? [head] : [])), [own.camera]);
+  /** Why an avatar cannot be drawn; empty if nothing is wrong. @param {Person} person */
+  problemOf({ id }) {
+    return this.scene.entries.get(id)?.problem ?? "";
+  }
+
+  /**
+   * Draw a frame unless the one before is still being drawn, or the context is lost; where
+   * everybody is, in pixels of the page.
+   * @param {Person[]} people @param {Wanted} wanted @param {number} now Seconds.
+   * @returns {Label[] | null}
+   */
+  draw(people, wanted, now) {
+    if (this.fence || this.gl.isContextLost()) return null;
+    const ratio = this.resize();
+    const { width, height } = this.canvas;
+    const started = performance.now();
+    const found = this.scene.draw(people, wanted, { framebuffer: null, width, height },
+      BUDGET_SHARE / (this.fps ?? DISPLAY_FPS), now);
+    if (found.isNew) {
+      ++this.numDrawn;
+      this.whenDone(() => {
+        const seconds = (performance.now() - started) / 1000 - found.decodesS;
+        this.scene.costs.observeDraw(found.triangles, found.shadedPx, seconds);
+      });
     }
-    const plan = this.scheduler.plan(heads.map(({ head }) => head), budgetS, now);
-    heads.forEach(({ head: { choice }, person }) => person.want(choice?.every ?? 1));
-    heads.sort((a, b) => b.head.sight.headPx - a.head.sight.headPx);
-    const requests = heads.flatMap(({ head }) => head.request(now) ?? []);
-    return { requests, shadedPx: plan.shadedPx };
+    return found.labels.map(({ rect, ...label }) =>
+      ({ ...label, rect: rect && rect.map((value) => value / ratio) }));
+  }
+
+  /** Do something when the GPU is done with a frame. @param {() => void} act */
+  whenDone(act) {
+    const { gl } = this;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.fence = fence;
+    gl.flush();
+    const look = () => {
+      if (!fence || this.fence !== fence) return;
+      if (gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.SIGNALED) {
+        gl.deleteSync(fence);
+        this.fence = null;
+        act();
+      } else {
+        setTimeout(look, 1);
+      }
+    };
+    setTimeout(look, 1);
+  }
+
+  /** Make the canvas as large as it is shown; pixels of it for one of the page. */
+  resize() {
+    const { canvas, canvas: { clientWidth, clientHeight } } = this;
+    const ratio = Math.min(window.devicePixelRatio
+      || 1, Math.sqrt(MAX_PX / Math.max(clientWidth * clientHeight, 1)));
+    const [width, height] =
+      [clientWidth, clientHeight].map((side) => Math.max(Math.round(side * ratio), 1));
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] =
+      [width, height];
+    return ratio;
   }
 }

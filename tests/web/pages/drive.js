@@ -13,7 +13,8 @@ const picture = () => new Promise((resolve) => requestAnimationFrame(() => {
   resolve({ colours: red.size, alphas: [...alpha] });
 }));
 const labels = () => [...document.querySelectorAll("#labels button")].map((each) => ({
-  text: each.textContent, isSpeaking: each.classList.contains("speaking"), isPinned: each.getAttribute("aria-pressed") === "true",
+  text: [...each.children].slice(1).map((part) => part.textContent).join(""), isSpeaking: each.classList.contains("speaking"),
+  isFaceless: each.classList.contains("faceless"), isPinned: each.getAttribute("aria-pressed") === "true",
 }));
 
 async function until(holds) {
@@ -39,9 +40,9 @@ run(async () => {
   await until(() => !element("join").hidden);
   element("name").value = "Ada";
   element("begin").click();
-  await until(() => labels().length === 3 && labels().some(({ text }) => text === "Nora"));
+  await until(() => labels().length === 3 && labels().some(({ text }) => text.startsWith("Nora")));
   await drawn();
-  const found = { first: await until(() => labels().every(({ text }) => !text.includes("loading")) && labels()) };
+  const found = { first: await until(() => labels().every(({ text }) => !text.includes("loading")) && !labels()[0].isFaceless && labels()) };
   document.querySelector("#labels button").click();
   found.pinned = await until(() => labels()[0].isPinned && labels());
   pressed("Escape");

@@ -21,12 +21,12 @@ export async function loadFloats(name) {
 }
 
 /** A context, its canvas, and the graphics around it. */
-export async function makeGraphics(width, height, options) {
-  const { Graphics } = await import("./gl.js");
+export async function makeGraphics(width, height, onlyHalfs) {
+  const { openGraphics } = await import("./gl.js");
   const canvas = document.body.appendChild(document.createElement("canvas"));
   [canvas.width, canvas.height] = [width, height];
   const gl = canvas.getContext("webgl2", { antialias: false, depth: false, premultipliedAlpha: true });
-  return new Graphics(gl, await load("shaders.json"), options);
+  return openGraphics(gl, await load("shaders.json"), onlyHalfs);
 }
 
 /** The pixels of what is drawn into, from the lowest row up. */
