@@ -60,7 +60,7 @@ pytest: pytest-parallel pytest-realtime
 pytest-parallel: libraries
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime" $(PYTEST)
 
-# Tests on a real clock run alone: two at once would slow each other down.
+# Tests that measure on a real clock run alone: two at once would slow each other down.
 pytest-realtime: libraries
 	$(BIN)/python -m pytest -m realtime $(PYTEST)
 

@@ -18,7 +18,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.local_call.processes import Children
 from pica_core.avatar.file import save_avatar
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.call
 
 NOBODY = "ws://127.0.0.1:9"
 FULL = Path("/dev/full")

@@ -131,16 +131,6 @@ async def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
 
 
 @in_virtual_time
-async def test_a_relay_that_is_busy_for_a_second_and_a_half_loses_nobody() -> None:
-    async with Relay(RelayConfig()) as relay, running_link() as (link, joined):
-        await joined.wait()
-        for _ in range(3):
-            current_network().stall("relay", 1.5)
-            await asyncio.sleep(10)
-        assert (link.reconnects, relay.stats()["joins"]) == (0, 1)
-
-
-@in_virtual_time
 async def test_garbage_from_the_other_end_is_counted_and_tried_again_with_patience() -> None:
     rng = random.Random(5)
     connections = 0
@@ -171,32 +161,6 @@ async def test_a_websocket_server_of_another_language_is_refused_by_name() -> No
             link, _ = make_link()
             with pytest.raises(RelayRefusedError, match=r"ws://relay:8765: .* not "):
                 await link.run()
-
-
-@in_virtual_time
-async def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(
-    tmp_path: Path,
-) -> None:
-    keys, token_file = tmp_path / "keys", tmp_path / "token"
-    keys.write_text(new_key_line())
-
-    def write_token(now: float) -> None:
-        admission = Admission(identity="ada")
-        token = mint(load_keys(keys), "r", admission, now=now, lasts_s=60)
-        token_file.write_text(f"{token}\n")
-
-    loop = asyncio.get_running_loop()
-    link, joined = make_link(token_file=token_file)
-    running = asyncio.create_task(link.run())
-    for minted_s in (0, 100):
-        write_token(1e9 + minted_s)
-        joined.clear()
-        async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
-            await joined.wait()
-            await asyncio.sleep(100)  # it outlives its token, and the relay goes away then
-    async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
-        with pytest.raises(RelayRefusedError, match=r"has expired \(code 4011\)"):
-            await running
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfd", b"two words", None])

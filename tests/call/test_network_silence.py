@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,7 +23,7 @@ CAN_ISOLATE = all(map(shutil.which, ("unshare", "ip"))) and (
     subprocess.run([*ISOLATED, "sh", "true"], capture_output=True, check=False).returncode == 0
 )
 pytestmark = [
-    pytest.mark.realtime,
+    pytest.mark.call,
     pytest.mark.skipif(not CAN_ISOLATE, reason="needs Linux, ip, and unshare that is permitted"),
 ]
 
@@ -93,18 +94,35 @@ def _counts(lines: Sequence[str], name: str) -> int:
     return sum(found)
 
 
-def test_relay_send_and_view_reach_for_nothing_beyond_loopback(tmp_path: Path) -> None:
-    assert attempts(RELAY_SEND_VIEW, tmp_path) == 0
-    assert (tmp_path / "seen.png").exists()
-    assert not (tmp_path / DEVICE_ID).exists()
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, Path]]:
+    """What each script tried, and where its home is; they wait side by side."""
+    scripts = {"call": RELAY_SEND_VIEW, "telemetry": TELEMETRY_ON, "python": PYTHON_ASKS}
+    homes = [tmp_path_factory.mktemp(name) for name in scripts]
+    with ThreadPoolExecutor() as pool:
+        counts = pool.map(attempts, scripts.values(), homes)
+        return dict(zip(scripts, zip(counts, homes, strict=True), strict=True))
 
 
-def test_a_user_who_leaves_the_telemetry_on_is_obeyed_and_the_check_sees_it(tmp_path: Path) -> None:
-    tried = attempts(TELEMETRY_ON, tmp_path)
-    if not (tmp_path / DEVICE_ID).exists():
+def test_relay_send_and_view_reach_for_nothing_beyond_loopback(
+    tried: dict[str, tuple[int, Path]],
+) -> None:
+    count, home = tried["call"]
+    assert count == 0
+    assert (home / "seen.png").exists()
+    assert not (home / DEVICE_ID).exists()
+
+
+def test_a_user_who_leaves_the_telemetry_on_is_obeyed_and_the_check_sees_it(
+    tried: dict[str, tuple[int, Path]],
+) -> None:
+    count, home = tried["telemetry"]
+    if not (home / DEVICE_ID).exists():
         pytest.skip("this build of ONNX Runtime has no telemetry")
-    assert tried > 0
+    assert count > 0
 
 
-def test_the_check_sees_look_ups_connections_and_datagrams_of_python(tmp_path: Path) -> None:
-    assert attempts(PYTHON_ASKS, tmp_path) >= 3
+def test_the_check_sees_look_ups_connections_and_datagrams_of_python(
+    tried: dict[str, tuple[int, Path]],
+) -> None:
+    assert tried["python"][0] >= 3

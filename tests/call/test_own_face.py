@@ -6,6 +6,7 @@ On the virtual clock, through the real relay.
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,13 +14,15 @@ import pytest
 
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
-from pica_client.call.call import Call
+from pica_client.call.call import Call, Reflection
 from pica_client.call.status import CallStatus, FaceState
 from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode
 from pica_client.transport.connect import LinkConfig
+from pica_core.avatar.arkit import ExpressionFrame
+from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -33,6 +36,16 @@ MOVES = 0.01
 """Least `Person.motion` of a face that talks. The toy avatar's latents of performance:talk, 20 a
 second, take largest steps of 0.011 to 0.110 in nineteen of twenty seconds, 0.026 in the median
 (0.05 is beyond seven seconds of ten); a face that stands still takes none."""
+
+
+class Still:
+    """A face that does not move."""
+
+    def __init__(self, face: ExpressionFrame) -> None:
+        self._face = face
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        return replace(self._face, captured_us=round(time_s * 1e6))
 
 
 class Person:
@@ -101,6 +114,35 @@ async def test_a_face_is_sent_muted_and_let_go_on_over_the_link_of_the_call() ->
                 person.receiver.stop()
         sent = ada.receiver.stats(14.0)["sent"]
         assert sent["without_face"] > 80
+
+
+@in_virtual_time
+async def test_ones_own_face_is_what_the_others_see_and_not_what_the_tracker_saw() -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        ada, ben = Person(relay.url, "ada", sends=True), Person(relay.url, "ben")
+        assert ada.publisher is not None
+        reflection = Reflection(AVATAR, ada.publisher.track)
+        async with asyncio.TaskGroup() as tasks:
+            for person in (ada, ben):
+                tasks.create_task(person.receiver.run())
+            await ben.look(3)
+            ada.publisher.watch(reflection.receive)  # in the middle of a call
+            await ben.look(2)
+            face = open_source("performance:talk").frame_at(5.0)
+            ada.publisher.replace_source(Still(face))  # two playout delays show one face
+            await ben.look(3)
+            (own,) = reflection.call.faces(asyncio.get_running_loop().time())
+            assert own.latent is not None
+            assert ben.seen[-1].latent is not None
+            assert np.abs(own.latent - ben.seen[-1].latent).max() < 1e-5
+            tracked = ExpressionEncoder(AVATAR).encode(face.arkit)
+            assert np.abs(own.latent - tracked).max() > 1e-4
+            set_mode(ada, "muted")
+            await ben.look(3)
+            (own,) = reflection.call.faces(asyncio.get_running_loop().time())
+            assert own.status == "stale"
+            for person in (ada, ben):
+                person.receiver.stop()
 
 
 @in_virtual_time

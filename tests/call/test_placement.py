@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.realtime, needs_nats]
 if os.name == "nt":
     pytest.skip("stops relays with Unix signals", allow_module_level=True)
 
-NUM_ROOMS = 100
+NUM_ROOMS = 30
 
 
 @pytest.fixture

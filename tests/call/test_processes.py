@@ -13,20 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
-from pica_client.call.call import Call
-from pica_client.endpoint import Receiver
 from pica_client.errors import CallProcessError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
-from pica_client.local_call.processes import Child, Children
-from pica_client.transport.connect import LinkConfig
+from pica_client.local_call.processes import Children
 from pica_client.voice.sound.process import SoundProcess
-from pica_core.avatar.file import avatar_id, save_avatar
+from pica_core.avatar.file import save_avatar
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.call
 
 PATIENCE_S = 30.0
 """Nothing here should take this long; a loaded machine may."""
@@ -60,13 +56,6 @@ def is_running(pid: int) -> bool:
     except OSError:
         return False
     return stat.rpartition(")")[2].split()[0] != "Z"
-
-
-def start_sender(children: Children, url: str, avatar: Path, name: str = "Ada") -> Child:
-    return children.start(
-        f"sender-{name}",
-        *("send", "--url", url, "--room", "r", "--name", name, "--wait", "--avatar", str(avatar)),
-    )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -106,37 +95,6 @@ def test_no_process_of_ours_runs_a_module_that_lies_in_the_current_folder(
     sound.set_volumes({})
     sound.close()
     assert not Path("was-run").exists()
-
-
-def test_a_call_survives_the_death_of_sender_and_relay(
-    children: Children, avatar_file: Path, tmp_path: Path
-) -> None:
-    relay, url = children.start_relay()
-    ada = start_sender(children, url, avatar_file, "Ada")
-    ben = start_sender(children, url, avatar_file, "Ben")
-    call = Call(LoadedAvatars({avatar_id(avatar_file): TOY}))
-
-    def received(name: str) -> int:
-        peers = call.stats(time.monotonic())["peers"]
-        return sum(peer["received"] for peer in peers if peer["name"] == name)
-
-    with Receiver(LinkConfig(url=url, room="r", name="viewer"), call) as receiver:
-        wait_until(lambda: call.num_live == 2, "both are seen")
-        os.kill(ben.pid, signal.SIGKILL)
-        wait_until(lambda: len(call.faces(time.monotonic())) == 1, "Ben is gone")
-        os.kill(relay.pid, signal.SIGKILL)
-        wait_until(lambda: not receiver.is_connected, "the relay is missed")
-        port = url.rpartition(":")[2]
-        children.start("relay-2", "relay", "--port", port)
-        call.begin_window(time.monotonic())
-        wait_until(lambda: received("Ada") >= 10, "Ada is heard again")
-        receiver.check()
-    os.kill(ada.pid, signal.SIGTERM)
-    wait_until(lambda: ada.exit_code is not None, "Ada ends")
-    result = ada.result()
-    assert ada.exit_code == 0
-    assert result["reconnects"] == 1
-    assert result["errors"] == 0
 
 
 def test_a_killed_sender_is_reported_by_name(children: Children, avatar_file: Path) -> None:

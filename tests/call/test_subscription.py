@@ -118,54 +118,6 @@ def distance(one: npt.NDArray[np.float32], other: npt.NDArray[np.float32]) -> fl
 
 
 @in_virtual_time
-async def test_who_joins_late_sees_the_face_of_now_with_the_answer_to_the_join(
-    avatar: Avatar,
-) -> None:
-    current_network().route("viewer", up=Wire(delay_s=ONE_WAY_S), down=Wire(delay_s=ONE_WAY_S))
-    loop = asyncio.get_running_loop()
-    async with Relay(RelayConfig(port=0)) as relay:
-        began_s = loop.time()
-        sending = asyncio.create_task(make_sender(relay.url, avatar, 10).run())
-        await asyncio.sleep(5.21)
-        came_s = loop.time()
-        viewer = Viewer(make_receiver(relay.url, avatar))
-        await viewer.run(2)
-        await sending
-    at_s, face = next(seen for seen in viewer.faces if seen[1].latent is not None)
-    # Opening a connection takes two round trips, the join and its answer a third.
-    assert at_s - came_s <= 3 * 2 * ONE_WAY_S + 2 * DISPLAY_FRAME_S + 0.01
-    assert at_s - face.captured_us / 1e6 <= 4 * DISPLAY_FRAME_S + ONE_WAY_S
-    assert face.latent is not None
-    truth = Truth(avatar, began_s).latent(face.captured_us)
-    assert distance(face.latent, truth) <= 0.5
-
-
-@in_virtual_time
-async def test_a_stream_that_nobody_sees_costs_next_to_nothing(avatar: Avatar) -> None:
-    async with Relay(RelayConfig(port=0)) as relay:
-        sending = asyncio.create_task(make_sender(relay.url, avatar, 31).run())
-        viewer = Viewer(make_receiver(relay.url, avatar))
-        watching = asyncio.create_task(viewer.run(30))
-        await asyncio.sleep(10)
-        seen_bytes = viewer.payload_bytes()
-        viewer.every = 0
-        await asyncio.sleep(10)
-        unseen_bytes = viewer.payload_bytes() - seen_bytes
-        viewer.every = 1
-        await asyncio.sleep(9)
-        again_bytes = viewer.payload_bytes() - seen_bytes - unseen_bytes
-        await watching
-        await sending
-        stats = viewer.receiver.stats(30)
-    assert unseen_bytes <= 0.06 * seen_bytes  # half a second of it is the wait before it is told
-    assert again_bytes >= 0.8 * seen_bytes
-    (ada,) = stats["peers"]
-    # Frames that were not sent on purpose are not concealed.
-    assert stats["errors"] == 0
-    assert ada["concealed_ratio"] <= 0.02
-
-
-@in_virtual_time
 async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
     avatar: Avatar,
 ) -> None:
@@ -177,11 +129,15 @@ async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
         viewer = Viewer(make_receiver(relay.url, avatar))
         watching = asyncio.create_task(viewer.run(23))
         await asyncio.sleep(5)
+        seen_bytes = viewer.payload_bytes()
         viewer.every = 0
         await asyncio.sleep(14)
+        unseen_bytes = viewer.payload_bytes() - seen_bytes
         back_s = await viewer.subscribe_from_now(1)
         await watching
         await sending
+    # Half a second of it is the wait before it is told.
+    assert unseen_bytes / 14 <= 0.06 * seen_bytes / 4
     truth = Truth(avatar, began_s)
     shown = viewer.after(back_s)
     second_s, second = shown[1]

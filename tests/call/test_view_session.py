@@ -5,7 +5,6 @@ The window is one without a screen: a GL context and the events that the test ha
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +15,8 @@ from imgui_bundle import imgui
 
 from helpers.hand import Event, press
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call
-from pica_client.endpoint import Receiver
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
-from pica_client.transport.connect import LinkConfig
 from pica_client.ui.lobby import JoinForm
 from pica_client.ui.options import JoinOptions, ViewOptions
 from pica_client.ui.session import first_state, view_calls
@@ -144,25 +140,6 @@ def test_a_stay_begins_without_what_held_for_the_people_of_another(
     state.side, state.is_talking = "settings", True
     assert view_calls(HEADLESS, state, library)["frames_rendered"] > 0
     assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
-
-
-def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
-    library: AvatarLibrary, relay_url: str, tmp_path: Path
-) -> None:
-    pytest.importorskip("av")
-    recording = replace(HEADLESS, record=tmp_path / "call.mp4")
-    call = Call(library)
-    with Receiver(LinkConfig(url=relay_url, name="Ada"), call) as receiver:
-        while not receiver.is_connected:
-            time.sleep(0.01)
-        view_calls(recording, state_at(relay_url), library)
-        news: list[tuple[str, str]] = []
-        deadline_s = time.monotonic() + 20
-        while ("left", "guest") not in news:
-            assert time.monotonic() < deadline_s, news
-            news += [(each.kind, each.name) for each in call.room(time.monotonic()).news]
-            time.sleep(0.01)
-    assert ("records", "guest") in news
 
 
 def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.call
 
 
 @pytest.mark.parametrize("unread", ["stdout", "both"])
-@pytest.mark.parametrize("words", ["--help", "send --help", "doctor --json"])
+@pytest.mark.parametrize("words", ["--help", "avatar info amara --json"])
 def test_output_that_nobody_reads_is_no_traceback(words: str, unread: str) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "pica_command", *words.split()],
@@ -30,7 +30,7 @@ def test_output_that_nobody_reads_is_no_traceback(words: str, unread: str) -> No
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
-@pytest.mark.parametrize("words", ["--help", "doctor --json"])
+@pytest.mark.parametrize("words", ["--help", "avatar info amara --json"])
 def test_output_for_which_there_is_no_room_is_one_line(words: str) -> None:
     command = [sys.executable, "-m", "pica_command", *words.split()]
     with Path("/dev/full").open("w") as full:

@@ -2,7 +2,7 @@ import contextlib
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.strategies import frames
@@ -34,7 +34,6 @@ def test_frames_survive_the_wire_together(batch: list[Frame]) -> None:
 
 
 @given(st.binary(max_size=100))
-@settings(max_examples=500)
 def test_any_bytes_are_frames_or_a_protocol_error(data: bytes) -> None:
     for candidate in (data, b"\x02" + data):
         with contextlib.suppress(RemoteProtocolError):
@@ -64,13 +63,6 @@ def test_a_message_longer_than_the_limit_is_refused() -> None:
     frame = encode_frame(Frame(stream=1, sequence=0, captured_us=0, payload=bytes(1000)))
     with pytest.raises(RemoteProtocolError, match=str(MAX_MEDIA_MESSAGE_BYTES)):
         scan_frames(media_message([frame] * 17))
-
-
-@pytest.mark.parametrize("field", ["stream", "sequence", "captured_us"])
-def test_a_field_out_of_range_cannot_be_sent(field: str) -> None:
-    fields = {"stream": 1, "sequence": 0, "captured_us": 0, field: -1}
-    with pytest.raises(ValueError, match=field):
-        Frame(payload=b"", **fields)
 
 
 @pytest.mark.parametrize(

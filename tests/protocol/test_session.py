@@ -1,13 +1,13 @@
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.strategies import messages
 from pica_protocol.client_session import MAX_QUEUED_MESSAGES, RIDE_S, ClientSession
 from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
+from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_PEERS
 from pica_protocol.messages import (
@@ -228,7 +228,6 @@ def test_what_the_table_does_not_allow_is_an_unexpected_message(is_client: bool)
     data=st.lists(st.binary(max_size=50) | messages.map(encode_message) | st.just(FRAME)),
     state=st.sampled_from([State.JOINING, State.JOINED]),
 )
-@settings(max_examples=300)
 def test_no_received_bytes_make_a_session_raise_or_speak_after_its_goodbye(
     is_client: bool, data: list[bytes], state: State
 ) -> None:
@@ -251,19 +250,6 @@ def test_a_client_does_not_believe_in_more_peers_than_a_room_holds() -> None:
     assert len(client.peers) == MAX_PEERS
     assert client.closed is not None
     assert client.closed.code == CloseCode.MALFORMED
-
-
-def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
-    assert is_worth_retrying(CloseCode.GOING_AWAY)
-    assert is_worth_retrying(CloseCode.CONNECTION_LOST)
-    assert not is_worth_retrying(CloseCode.WRONG_VERSION)
-    assert not is_worth_retrying(CloseCode.ROOM_FULL)
-    assert not is_worth_retrying(4999)
-    assert [code for code in CloseCode if may_pass(code)] == [
-        CloseCode.ROOM_FULL,
-        CloseCode.TOO_MANY,
-        CloseCode.UNAUTHORIZED,
-    ]
 
 
 def test_a_face_of_ours_rides_with_our_voice_and_alone_only_when_none_comes() -> None:

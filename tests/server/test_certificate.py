@@ -21,7 +21,7 @@ from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
 from pica_server.relay import READ_AGAIN_S, Relay
 from simnet.clock import in_virtual_time
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.call
 
 
 @pytest.fixture

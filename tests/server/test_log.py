@@ -26,7 +26,7 @@ from pica_server.log import LINES_AT_ONCE, MOST_WAITING, Style, logging_to, say
 from pica_server.tokens import Admission, load_keys, mint, new_key_line
 from simnet.peers import FACE, peer_in_room
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.call
 
 OURS = logging.getLogger("pica_server.example")
 THEIRS = logging.getLogger("library.example")
@@ -62,13 +62,6 @@ def test_a_json_line_has_time_level_event_and_fields() -> None:
     (event,) = log.events
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", str(event.pop("time")))
     assert event == {"level": "info", "event": "connection closed", "connection": 3, "code": 1000}
-
-
-def test_a_text_line_has_the_same() -> None:
-    with Logged(style="text") as log:
-        OURS.warning("connection lost", extra={"relays": 2})
-    (line,) = log.lines
-    assert line.split(" ", 1)[1] == "warning connection lost relays=2"
 
 
 def test_what_the_command_says_is_a_sentence_for_people_and_an_event_for_machines() -> None:
@@ -118,8 +111,7 @@ PAYLOAD, WHISPERED = b"payload-of-a-face", b"whispered-key"
 FORWARDED = "203.0.113.77"
 
 
-@pytest.mark.parametrize("style", ["text", "json"])
-def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path) -> None:
+def test_nobody_can_be_found_in_the_log_of_a_relay(tmp_path: Path) -> None:
     """A call with tokens, bad joins, garbage, a flood and a lost peer; then the log is searched."""
     key_file = tmp_path / "keys"
     key_file.write_text(new_key_line())
@@ -163,7 +155,7 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
                 await ada.send_frame(bytes(1000))
             bob.websocket.transport.abort()
 
-    arguments = f"--port 0 --log {style} --trusted-proxies 127.0.0.1 "
+    arguments = "--port 0 --log json --trusted-proxies 127.0.0.1 "
     arguments += f"--limits.bytes-per-s 4096 --keys {key_file}"
     relay = subprocess.Popen(
         [sys.executable, "-m", "pica_command", "relay", *arguments.split()],
@@ -190,9 +182,8 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
         PAYLOAD.decode(), WHISPERED.decode(), *tokens, *(one.rpartition(".")[2] for one in tokens),
     ):  # fmt: skip
         assert secret not in log, secret
-    if style == "json":
-        events = [json.loads(line) for line in log.splitlines()]
-        assert all({"time", "level", "event"} <= set(event) for event in events)
+    events = [json.loads(line) for line in log.splitlines()]
+    assert all({"time", "level", "event"} <= set(event) for event in events)
 
 
 def test_a_full_disk_stops_nothing_but_the_log() -> None:

@@ -16,7 +16,7 @@ from simnet.clock import current_network, in_virtual_time
 from simnet.peers import now, peer_in_room
 from simnet.relays import RelayProcess, start_relay
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.call
 
 if os.name == "nt":
     pytest.skip("stops the relay with Unix signals", allow_module_level=True)

@@ -50,7 +50,3 @@ def test_the_page_may_connect_to_its_relay_alone(host: str) -> None:
     (allowed,) = re.findall(r"connect-src ([^;]*);", policy)
     is_name = ";" not in host and host
     assert allowed == (f"'self' ws://{host} wss://{host}" if is_name else "'self'")
-
-
-def test_without_an_index_there_is_no_page() -> None:
-    assert WebPage({}).answer("/", "relay.example") is None

@@ -180,6 +180,7 @@ def test_no_key_is_used_in_two_stays() -> None:
     assert decode_header(second.payload)[:2] != decode_header(first.payload)[:2]
 
 
+@pytest.mark.slow
 def test_the_largest_room_keeps_to_the_rate_of_messages() -> None:
     room = Room()
     for number in range(64):

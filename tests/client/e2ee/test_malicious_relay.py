@@ -1,4 +1,4 @@
-"""Some hundred calls on a relay that does what it should not; more with ``MALICE_RUNS=10000``."""
+"""Dozens of calls on a relay that does what it should not; more with ``MALICE_RUNS=10000``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from malice.relay import TRICKS, run
 
 pytestmark = [pytest.mark.call, pytest.mark.slow]
 
-RUNS = int(os.environ.get("MALICE_RUNS", "200"))
+RUNS = int(os.environ.get("MALICE_RUNS", "60"))
 
 
 def test_a_malicious_relay_shows_nothing_twice_nor_as_somebody_elses_nor_after_a_leave() -> None:

@@ -195,6 +195,7 @@ def test_five_people_on_a_wide_picture_are_large_and_in_the_upper_half() -> None
         assert layout == "grid" or all(top + bottom < 720 for _, top, _, bottom in heads)
 
 
+@pytest.mark.slow
 @given(layout=layouts, other=layouts, count=st.integers(1, 9), aspect=aspects, pinned=pins)
 def test_people_move_to_another_plan_step_by_step_and_arrive(
     layout: Layout, other: Layout, count: int, aspect: float, pinned: int | None

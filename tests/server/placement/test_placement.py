@@ -179,17 +179,6 @@ async def test_a_room_goes_to_the_relay_with_the_fewest_connections() -> None:
 
 
 @in_virtual_time
-async def test_rooms_that_are_placed_before_the_next_beat_do_not_all_go_to_one_relay() -> None:
-    async with Cluster() as cluster:
-        a, b = await cluster.two(a=1)
-        for number in range(4):
-            await ask(a, f"room{number}", wait_s=0.01)
-        assert a.redirects
-        assert a.rooms
-        assert set(a.redirects) == {b.url}
-
-
-@in_virtual_time
 async def test_joins_for_a_room_of_a_late_relay_wait_until_it_is_heard() -> None:
     async with Cluster() as cluster:
         a, b = await cluster.with_lobby_at_b()
@@ -268,34 +257,6 @@ async def test_without_the_bucket_rooms_are_made_where_they_are_asked_for() -> N
     a.placement.ask("lobby")
     assert list(a.rooms) == ["lobby"]
     assert a.count("local") == 1
-
-
-@in_virtual_time
-async def test_a_join_that_waits_is_let_in_when_the_bucket_goes_away() -> None:
-    async with Cluster() as cluster:
-        a, _ = await cluster.with_lobby_at_b()
-        a.bucket.delay_s = 0.1
-        await ask(a)
-        assert list(a.rooms) == []
-        await a.cut(0.0)
-        assert list(a.rooms) == ["lobby"]
-        await asyncio.sleep(0.2)  # an answer comes too late to change anything
-        assert list(a.rooms) == ["lobby"]
-
-
-@in_virtual_time
-async def test_a_bucket_that_comes_back_empty_is_filled_again_without_anybody_leaving() -> None:
-    async with Cluster() as cluster:
-        a, b = await cluster.with_lobby_at_b()
-        for relay in (a, b):
-            await relay.cut()
-        cluster.store.entries.clear()
-        a.bucket.is_cut = b.bucket.is_cut = False
-        await asyncio.sleep(2 * BEAT_S)
-        assert list(b.rooms) == ["lobby"]
-        assert b.redirects == []
-        await ask(a)
-        assert a.redirects == [b.url]
 
 
 @pytest.mark.parametrize("is_late", [False, True])

@@ -119,12 +119,6 @@ def test_who_goes_on_purpose_or_breaks_the_protocol_is_gone_at_once() -> None:
         assert come_back(hub, former.session, now=2.0).peer_id != former.peer_id
 
 
-def test_who_did_not_say_that_it_comes_back_is_gone_at_once() -> None:
-    _hub, (ada, bob) = hub_with("Ada", "Bob")
-    assert not ada.lose_connection(now=1.0).is_resumable
-    assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
-
-
 def test_a_place_that_is_kept_for_an_identity_counts_for_the_capacity() -> None:
     hub = hub_of_identities(RelayConfig(room_capacity=2))
     ada = Member(hub, "Ada", token="ada", resumable=True)

@@ -31,10 +31,9 @@ def test_a_stream_is_not_used_again_right_after_its_owner_left() -> None:
 def test_streams_wrap_around_those_in_use() -> None:
     room = Room("lobby", CAPACITY)
     come(room)  # holds stream 1
-    guest, _ = come(room)
-    room.leave(guest)
-    for _ in range(65_533):
-        room.join(guest, Join(room="lobby", name="Guest", tracks=(FACE,)), Admission())
+    guest = HUB.connect(0.0)
+    for num_tracks in (*[4] * 16_383, 2):  # 2 to 65,535
+        room.join(guest, Join(room="lobby", name="Guest", tracks=(FACE,) * num_tracks), Admission())
         room.leave(guest)
     assert come(room)[1].tracks[0].stream == 2
 

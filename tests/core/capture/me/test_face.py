@@ -13,6 +13,7 @@ from pica_core.capture.person.choices import NUM_MODES, read_model
 pytestmark = pytest.mark.unit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "size"), [(0, 1.0), (1, 1000.0), (2, 0.02)])
 def test_a_face_is_found_in_its_landmarks_in_any_frame(seed: int, size: float) -> None:
     random = np.random.default_rng(seed)
