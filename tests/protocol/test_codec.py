@@ -154,13 +154,15 @@ def test_unknown_fields_are_ignored_so_that_later_versions_may_add_some() -> Non
         ({"type": "poke"}, "unknown message type 'poke'"),
         ({}, "unknown message type None"),
         ([], "expected a map, got list"),
+        ({"type": "subscribe", "stream": "x" * 1000}, "subscribe.stream"),
     ],
 )
 def test_a_bad_field_is_refused_with_its_path_value_and_limit(
     record: object, complaint: str
 ) -> None:
-    with pytest.raises(RemoteProtocolError, match=complaint):
+    with pytest.raises(RemoteProtocolError, match=complaint) as caught:
         decode_message(pack(record))
+    assert len(str(caught.value)) < 500  # whoever sends it cannot fill the log
 
 
 def test_the_fullest_room_fits_a_control_message() -> None:

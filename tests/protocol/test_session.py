@@ -336,9 +336,9 @@ def test_a_client_that_comes_back_to_its_place_goes_on_counting_where_it_stopped
     assert decode_media(again.messages_to_send(now=0.0)[0])[0].sequence == sequence
 
 
-def test_secrets_to_come_back_with_are_not_shown_when_printed() -> None:
+def test_tokens_and_secrets_to_come_back_with_are_not_shown_when_printed() -> None:
     shown = repr(client_with()) + repr(Joined(room="r", peer_id="p", resume="s3cret"))
-    assert "s3cret" not in shown + repr(Join(room="r", name="n", resume="s3cret"))
+    assert "s3cret" not in shown + repr(Join(room="r", name="n", token="s3cret", resume="s3cret"))
 
 
 def test_frames_of_a_muted_stream_stay_here_and_leave_a_hole_in_the_sequence() -> None:
