@@ -50,18 +50,6 @@ fill (chosen: less than a face lasts)."""
 _logger = logging.getLogger(__name__)
 
 
-class _Peer:
-    """One websocket and the task that writes to it while it is slow, or closes it."""
-
-    __slots__ = ("has_more", "is_urgent", "websocket", "writer")
-
-    def __init__(self, websocket: RelaySocket) -> None:
-        self.websocket = websocket
-        self.writer: asyncio.Task[None] | None = None
-        self.has_more: asyncio.Event | None = None
-        self.is_urgent: asyncio.Event | None = None
-
-
 class Pump:
     """Moves messages between websockets and one hub."""
 
@@ -70,7 +58,7 @@ class Pump:
         self._config = config
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
-        self._peers: set[_Peer] = set()
+        self._websockets: set[RelaySocket] = set()
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
         self._wait_s = 0.0
@@ -90,15 +78,15 @@ class Pump:
         self._all_gone.clear()
         self._hub.drain(self._now())
         self.send_all()
-        if self._peers:
+        if self._websockets:
             with suppress(TimeoutError):
                 async with asyncio.timeout(longest_s):
                     await self._all_gone.wait()
 
     def cut(self) -> None:
         """Cut every websocket without another word."""
-        for peer in self._peers:
-            peer.websocket.transport.abort()
+        for websocket in self._websockets:
+            websocket.transport.abort()
 
     async def serve(self, websocket: RelaySocket) -> None:
         """Serve one websocket of a call until it has ended."""
@@ -108,8 +96,8 @@ class Pump:
             set_tcp_option(sock, socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         hub, began_s = self._hub, self._now()
         connection = hub.connect(began_s, websocket.address)
-        peer = connection.shell = _Peer(websocket)
-        self._peers.add(peer)
+        connection.shell = websocket
+        self._websockets.add(websocket)
         try:
             if websocket.subprotocol is None:
                 reason = f"this relay speaks {SUBPROTOCOL}"
@@ -123,17 +111,17 @@ class Pump:
         except ConnectionClosed:
             code = websocket.close_code or CloseCode.CONNECTION_LOST
             hub.disconnect(connection, code, websocket.close_reason or "", self._now())
-            if peer.writer is not None:
-                await asyncio.wait([peer.writer])
+            if websocket.writer is not None:
+                await asyncio.wait([websocket.writer])
         finally:
-            if peer.writer is not None:
-                peer.writer.cancel()
+            if websocket.writer is not None:
+                websocket.writer.cancel()
             hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
             connection.shell = None
-            self._peers.remove(peer)
+            self._websockets.remove(websocket)
             self.send_all()
             self._log_closed(connection, began_s)
-            if not self._peers:
+            if not self._websockets:
                 self._all_gone.set()
 
     def _log_closed(self, connection: Connection, began_s: float) -> None:
@@ -184,12 +172,12 @@ class Pump:
         oldest_s = now
         num_messages = num_bytes = num_frames = 0
         for connection in self._hub.take_ready():
-            peer: _Peer | None = connection.shell
-            if peer is None:
+            websocket: RelaySocket | None = connection.shell
+            if websocket is None:
                 continue
             outbox = connection.outbox
             under_way: OutboundMessage | None = None
-            if outbox.is_quick and peer.writer is None:  # nearly always
+            if outbox.is_quick and websocket.writer is None:  # nearly always
                 frames = outbox.fresh
                 if not frames:
                     continue
@@ -199,7 +187,7 @@ class Pump:
                     framed = websocket_message(media_message([each.data for each in frames]))
                 elif not (framed := frame.framed):
                     framed = frame.framed = websocket_message(media_message((frame.data,)))
-                if peer.websocket.write(framed):
+                if websocket.write(framed):
                     num_messages += 1
                     num_bytes += len(framed)
                     num_frames += num
@@ -207,38 +195,31 @@ class Pump:
                         oldest_s = frame.received_s
                     continue
                 under_way = OutboundMessage(framed, num, frame.received_s)
-            elif peer.writer is None and connection.closed is None and not outbox.is_slow(now):
+            elif websocket.writer is None and connection.closed is None and not outbox.is_slow(now):
                 while (message := outbox.take(now)) is not None:
-                    if not peer.websocket.write(websocket_message(message.data)):
+                    if not websocket.write(websocket_message(message.data)):
                         under_way = message
                         break
-                    self._hub.stats.note_sent(
-                        1, len(message.data), message.num_frames, now - message.received_s
-                    )
+                    self._hub.sent(connection, message, now)
                 if under_way is None:
                     continue
             if under_way is not None:
                 self._hub.is_sending(connection, now)
-            if peer.writer is None or peer.has_more is None or peer.is_urgent is None:
-                peer.has_more, peer.is_urgent = asyncio.Event(), asyncio.Event()
-                write = self._write(peer, connection, under_way)
-                peer.writer = asyncio.get_running_loop().create_task(write)
-            peer.has_more.set()
+            if websocket.writer is None:
+                websocket.has_more = asyncio.Event()
+                write = self._write(websocket, connection, under_way)
+                websocket.writer = asyncio.get_running_loop().create_task(write)
+            websocket.has_more.set()
             if connection.closed is not None:
-                peer.websocket.cut_later(self._close_timeout_s())
-            if outbox.is_urgent or connection.closed is not None:
-                peer.is_urgent.set()
+                websocket.cut_later(self._close_timeout_s())
         if num_messages:
             self._hub.stats.note_sent(num_messages, num_bytes, num_frames, self._now() - oldest_s)
 
     async def _write(
-        self, peer: _Peer, connection: Connection, under_way: OutboundMessage | None
+        self, websocket: RelaySocket, connection: Connection, under_way: OutboundMessage | None
     ) -> None:
         """Send a slow receiver what could not be sent at once, and everybody the goodbye."""
-        hub, websocket, outbox = self._hub, peer.websocket, connection.outbox
-        has_more, is_urgent = peer.has_more, peer.is_urgent
-        assert has_more is not None  # made with this task
-        assert is_urgent is not None
+        hub, outbox, has_more = self._hub, connection.outbox, websocket.has_more
         voice_s = self._now()
         try:
             if under_way is not None:
@@ -246,7 +227,6 @@ class Pump:
                 hub.sent(connection, under_way, self._now())
             while True:
                 has_more.clear()
-                is_urgent.clear()
                 is_voice = outbox.is_urgent
                 if (message := hub.take(connection, self._now())) is not None:
                     await websocket.send(message.data)
@@ -263,16 +243,17 @@ class Pump:
                     return
                 if not outbox.is_waiting:
                     await has_more.wait()
-                if not outbox.is_urgent and connection.closed is None:
-                    # During speech, faces share the messages of the voice.
-                    pace_s = RIDE_S if self._now() - voice_s < 2 * RIDE_S else _PACE_S
-                    with suppress(TimeoutError):
-                        async with asyncio.timeout(pace_s):
-                            await is_urgent.wait()
+                # During speech, faces share the messages of the voice.
+                pace_s = RIDE_S if self._now() - voice_s < 2 * RIDE_S else _PACE_S
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(pace_s):
+                        while not outbox.is_urgent and connection.closed is None:
+                            has_more.clear()
+                            await has_more.wait()
         except (ConnectionClosed, OSError):  # the latter of a reset while the buffer drains
             return
         finally:
-            peer.writer = peer.has_more = peer.is_urgent = None
+            websocket.writer = None
 
     def _close_timeout_s(self) -> float:
         """How long a peer may take to read the rest and to close."""

@@ -122,6 +122,7 @@ class RelaySocket(ServerConnection):
         is_misnamed: Whether it asks for another host than this machine, and no proxy of ours does.
         direct_from: The address that it comes from; empty: through a proxy.
         tls: With what it speaks TLS, or None.
+        writer: The task that writes to it while it is slow, or closes it; it waits for has_more.
         handshake_timeout_s: Until when it must be a websocket, or be taken for a download. Not the
             library's ``open_timeout``: that one holds until all of an HTTP answer is gone.
     """
@@ -134,6 +135,8 @@ class RelaySocket(ServerConnection):
     is_local = is_misnamed = False
     direct_from = ""
     _counted_as = ""
+    writer: asyncio.Task[None] | None = None
+    has_more: asyncio.Event
     handshake_timeout_s: float
     _deadline: asyncio.TimerHandle | None = None
     _is_admitted = _is_opened = _is_open = False
