@@ -93,9 +93,9 @@ class Viewer:
         await self.looked.wait()
         return self.faces[-1][0]
 
-    def payload_bytes(self) -> int:
-        (member,) = self.receiver.call.room(0.0).participants
-        return member.stream.payload_bytes
+    def num_frames(self) -> int:
+        (peer,) = self.receiver.call.stats(0.0)["peers"]
+        return int(peer["received"])
 
     def after(self, begin_s: float) -> list[tuple[float, FaceState]]:
         return [(at_s, face) for at_s, face in self.faces if at_s > begin_s]
@@ -129,15 +129,15 @@ async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
         viewer = Viewer(make_receiver(relay.url, avatar))
         watching = asyncio.create_task(viewer.run(23))
         await asyncio.sleep(5)
-        seen_bytes = viewer.payload_bytes()
+        num_seen = viewer.num_frames()
         viewer.every = 0
         await asyncio.sleep(14)
-        unseen_bytes = viewer.payload_bytes() - seen_bytes
+        num_unseen = viewer.num_frames() - num_seen
         back_s = await viewer.subscribe_from_now(1)
         await watching
         await sending
     # Half a second of it is the wait before it is told.
-    assert unseen_bytes / 14 <= 0.06 * seen_bytes / 4
+    assert num_unseen / 14 <= 0.06 * num_seen / 4
     truth = Truth(avatar, began_s)
     shown = viewer.after(back_s)
     second_s, second = shown[1]

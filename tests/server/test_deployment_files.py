@@ -20,8 +20,8 @@ from helpers.paths import ROOT
 from pica_command.options import CommandLine
 from pica_command.table import COMMANDS
 from pica_server.config import ConfigurationError, RelayConfig
+from pica_server.pages import StatusPages
 from pica_server.room.hub import Hub
-from pica_server.status_pages import StatusPages
 
 pytestmark = pytest.mark.unit
 

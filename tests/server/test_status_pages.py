@@ -9,9 +9,9 @@ from helpers.members import FACE, VOICE, Member
 from pica_protocol.errors import CloseCode
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.limits import RefusalError
+from pica_server.pages import MAX_LISTED, Page, StatusPages
 from pica_server.room.hub import Hub
 from pica_server.stats import BOUNDS_S, RelayStats, metrics_text
-from pica_server.status_pages import MAX_LISTED, Page, StatusPages
 
 pytestmark = pytest.mark.unit
 

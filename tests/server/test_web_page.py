@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from pica_server.web_page import WebPage
+from pica_server.pages import WebPage
 
 pytestmark = pytest.mark.unit
 

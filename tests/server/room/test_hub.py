@@ -200,13 +200,15 @@ def test_a_whisper_reaches_one_peer_under_its_senders_name() -> None:
 
 
 def test_a_whisper_stays_in_its_room() -> None:
-    hub, (ada,) = hub_with("Ada")
+    hub, (ada, away) = hub_with("Ada", "Bob", resumable=True)
     eve = Member(hub, "Eve", room="elsewhere")
-    for receiver in (eve.session.peer_id, ada.session.peer_id, "p99"):
+    away.lose_connection(now=0.5)
+    ada.listen(now=0.5)
+    for receiver in (eve.peer_id, ada.peer_id, away.peer_id, "p99"):
         ada.session.tell(Whisper(peer_id=receiver, data=b"key"))
     ada.speak(now=1.0)
     assert eve.listen(now=1.0) == ada.listen(now=1.0) == []
-    assert hub.stats.whispers_dropped == {"absent": 3}
+    assert hub.stats.whispers_dropped == {"absent": 4}
 
 
 def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:
