@@ -64,11 +64,12 @@ export class Avatar {
     this.rank = this.integers("linear.rank", rows);
     this._parts = "static.parts" in entries
       ? this.integers("static.parts", Math.ceil(this.numVertices / 4)) : [];
-    this._faces = LEVELS.map((level) => Uint32Array.from(
-      this.integers(level === MAP_SIZE ? "mesh.faces" : `level.${level}.faces`),
-        (value) => value >>> 0));
+    this._faces = LEVELS.map((level) =>
+      new Uint32Array(this.integers(level === MAP_SIZE ? "mesh.faces" : `level.${level}.faces`)));
     this._sheets = LEVELS.map((level) =>
       (level === MAP_SIZE ? allTo(this.numVertices) : verticesOf(this.faces(level))));
+    /** @type {Map<string, Uint32Array>} */
+    this._kinds = new Map();
     this._check();
   }
 
@@ -92,7 +93,7 @@ export class Avatar {
   /** A tensor as floats. @param {string} name @param {number} size */
   floats(name, size = 0) {
     const [stored, affine] = [this.integers(name, size), this._affine[name]];
-    if (!affine) return Float32Array.from(stored);
+    if (!affine) return new Float32Array(stored);
     const channels = affine.scale.length;
     const scale = affine.scale.map(Math.fround);
     const found = new Float32Array(stored.length);
@@ -110,10 +111,13 @@ export class Avatar {
   /** Those that are decoded, or those that have a texture. @param {number} level
    * @param {"decoded" | "textured"} kind */
   facesOf(level, kind) {
-    return filterFaces(this.faces(level), (a, b, c) => {
+    const key = `${level} ${kind}`;
+    const found = this._kinds.get(key) ?? filterFaces(this.faces(level), (a, b, c) => {
       const least = Math.min(this.part(a), this.part(b), this.part(c));
       return kind === "textured" ? least >= SEAM : least < STATIC;
     });
+    this._kinds.set(key, found);
+    return found;
   }
 
   /** What a vertex belongs to: 0 moves, 1 is the seam, 2 has a texture. @param {number} vertex */
@@ -243,14 +247,16 @@ function checkEntry(name, { dtype, shape, data_offsets: offsets }, affine, start
 
 /** @param {Float32Array} places @param {Uint32Array} faces */
 function areaM2(places, faces) {
+  const sides = new Float64Array(6);
   let sum = 0;
   for (let at = 0; at < faces.length; at += 3) {
-    const [a, b, c] = [3 * faces[at], 3 * faces[at + 1], 3 * faces[at + 2]];
-    const [px, py, pz] =
-      [places[b] - places[a], places[b + 1] - places[a + 1], places[b + 2] - places[a + 2]];
-    const [qx, qy, qz] =
-      [places[c] - places[a], places[c + 1] - places[a + 1], places[c + 2] - places[a + 2]];
-    sum += Math.hypot(py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx) / 2;
+    for (let k = 0; k < 6; ++k) {
+      sides[k] = places[3 * faces[at + (k < 3 ? 1 : 2)] + (k % 3)] - places[3 * faces[at] + (k % 3)];
+    }
+    const x = sides[1] * sides[5] - sides[2] * sides[4];
+    const y = sides[2] * sides[3] - sides[0] * sides[5];
+    const z = sides[0] * sides[4] - sides[1] * sides[3];
+    sum += Math.sqrt(x * x + y * y + z * z) / 2;
   }
   return sum;
 }

@@ -32,13 +32,18 @@ const SEAL_NOTES = {
 
 /** @type {Map<string, Promise<Avatar>>} */
 const avatars = new Map();
+/** Files come one after the other, so that the first face is there early. @type {Promise<unknown>} */
+let fetching = Promise.resolve();
 
 /** Get an avatar from the relay, checked and read once; rejects with one clear line.
  * @param {URL} base @param {string} id */
 function getAvatar(base, id) {
-  const found = avatars.get(id) ?? fetchAvatar(base, id);
-  found.catch(() => avatars.delete(id));
-  avatars.set(id, found);
+  let found = avatars.get(id);
+  if (!found) {
+    found = fetching.then(() => fetchAvatar(base, id));
+    avatars.set(id, found);
+    fetching = found.catch(() => avatars.delete(id));
+  }
   return found;
 }
 
@@ -162,8 +167,8 @@ export class Member {
     const now = seconds();
     const isMore = share(every) > share(this.every);
     if (every === this.every || isMore) this.lowerS = Infinity;
-    else if (this.lowerS === Infinity)
-      this.lowerS = Math.max(now + LOWER_AFTER_S, this.loweredS + LOWER_INTERVAL_S);
+    const isNew = this.lowerS === Infinity && every !== this.every;
+    if (isNew) this.lowerS = Math.max(now + LOWER_AFTER_S, this.loweredS + LOWER_INTERVAL_S);
     if (!this.track || every === this.every || (!isMore && now < this.lowerS)) return;
     if (!this.call.link?.tell({ type: "subscribe", stream: this.track.stream, every })) return;
     if (!isMore) this.loweredS = now;

@@ -280,8 +280,7 @@ export function layOut(avatar) {
   weights.defines.BIAS = tables.exact.add(bias);
   const vertices = [weights, dense(bases, room, mix, "half")];
   const basis = new Uint8Array(room * MAP_SIZE * 3).fill(128);
-  avatar.floats("linear.basis", directions * MAP_SIZE * 3)
-    .forEach((value, at) => (basis[at] = Math.round(value * 127) + 128));
+  basis.set(avatar.integers("linear.basis", directions * MAP_SIZE * 3));
   /** @type {Record<string, Numbers>} */
   const arrays = {
     half: tables.half.numbers("RGBA16F"),

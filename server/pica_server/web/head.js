@@ -41,8 +41,9 @@ export function openBody(graphics, programs, avatar, decoder) {
    * @param {number} level @param {"decoded" | "textured"} kind */
   function seen(level, kind) {
     const faces = avatar.facesOf(level, kind);
-    const found =
-      filterFaces(faces, (...corners) => corners.some((vertex) => restM[3 * vertex + 1] > goneM));
+    /** @param {number} vertex */
+    const isSeen = (vertex) => restM[3 * vertex + 1] > goneM;
+    const found = filterFaces(faces, (a, b, c) => isSeen(a) || isSeen(b) || isSeen(c));
     return found.length ? found : faces;
   }
 
@@ -67,9 +68,8 @@ export function openBody(graphics, programs, avatar, decoder) {
 
   /** @param {string} key @param {() => Triangles | null} make */
   function mesh(key, make) {
-    const found = meshes.get(key) ?? make();
-    meshes.set(key, found);
-    return found;
+    if (!meshes.has(key)) meshes.set(key, make());
+    return meshes.get(key) ?? null;
   }
 
   /** The decoded triangles of a level. @param {number} level */
@@ -220,8 +220,10 @@ export function axisTable(table, count) {
   for (let level = 0; level < levels; ++level) {
     const [start, step] = [total - (total >> level), 1 << level];
     for (let at = 0; at < 2 * Math.ceil(count / step); ++at) {
-      const [entry, channel] = [at >> 1, at & 1];
-      const [from, to] = [entry * step, Math.min((entry + 1) * step, count)];
+      const entry = at >> 1;
+      const channel = at & 1;
+      const from = entry * step;
+      const to = Math.min(from + step, count);
       const mean = (sums[2 * to + channel] - sums[2 * from + channel]) / (to - from);
       const place = 4 * (start + entry) + channel;
       found[place] = mean;

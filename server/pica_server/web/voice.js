@@ -17,8 +17,8 @@ const [LEAST_JITTER_S, JITTER_SHARE] = [0.01, 0.97];
 /** Time in which two thirds of a delay that is no longer needed are given up. */
 const RELEASE_S = 5;
 const SILENT_S = 1.5;
-/** What comes out of Opus was put in so much before the packet's first sample. */
-const CODEC_DELAY_S = 0.0065;
+/** What comes out of Opus was put in so much before the packet's first sample; of the limiter. */
+const [CODEC_DELAY_S, LIMITER_S] = [0.0065, 0.006];
 const [SPEAKING_LEVEL, SPEAKING_HOLD_S] = [10 ** (-45 / 20), 0.5];
 const BITRATE_BPS = 24_000;
 /** A packet up to this size holds silence: it is not sent. */
@@ -198,7 +198,7 @@ export class Voice {
     if (!ear || !(Math.abs(now - ear.leavesS) < SILENT_S) || now - ear.arrivedS > SILENT_S) {
       return null;
     }
-    const mediaS = ear.mediaS - CODEC_DELAY_S + now - ear.leavesS;
+    const mediaS = ear.mediaS - CODEC_DELAY_S - LIMITER_S + now - ear.leavesS;
     return ear.clock.originUs + Math.round((mediaS - ear.clock.originS) * 1e6);
   }
 
