@@ -27,16 +27,14 @@ from typing import Any
 
 import matplotlib
 import matplotlib.pyplot as plt
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
 PAGE = ROOT / "docs" / "results.md"
 PAGE_COLUMNS = 118
-BLUE, ORANGE, YELLOW, GREY = "#0072B2", "#D55E00", "#E69F00", "#777777"
-COLOURS = (BLUE, ORANGE, "#009E73", "#CC79A7", YELLOW)
+GREY = "#777777"
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 """Distinct for colour-blind readers, too."""
 
 Line = dict[str, Any]
@@ -71,9 +69,8 @@ def source_line(line: Line) -> str:
     return f"{line['date']} · commit {line['commit']} · {line['command']}"
 
 
-def save(figure: Figure, name: str, line: Line, title: str = "") -> None:
-    """Write docs/results/NAME.svg, with a title and the source of its data."""
-    figure.suptitle(title, fontsize=10)
+def save(figure: Figure, name: str, line: Line) -> None:
+    """Write docs/results/NAME.svg, with the source of its data."""
     figure.supxlabel(source_line(line), fontsize=6, color="#555555")
     path = RESULTS / f"{name}.svg"
     figure.savefig(path, metadata={"Date": None, "Creator": "scripts/chart.py"})
@@ -106,13 +103,6 @@ def table(rows: Iterable[Row], columns: Mapping[str, Column]) -> str:
     lines = [" | ".join(columns), " | ".join("---" for _ in columns)]
     lines += [" | ".join(cell(row, column) for column in columns.values()) for row in rows]
     return "\n".join(f"| {line} |" for line in lines)
-
-
-def plain_ticks(axis: Axis) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers, at 1, 2 and 5."""
-    axis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
 
 
 def joined(figures: Mapping[str, float | None], names: Sequence[str], digits: int) -> str:
@@ -162,14 +152,8 @@ def chart_faults() -> None:
     fill_in("faults", table(rows, {"fault": "fault", "back after, s": "seconds"}), source)
 
 
-SERVERS: dict[str, dict[str, Any]] = {
-    "relay": {"label": "pica relay", "color": BLUE, "marker": "o"},
-    "naive": {"label": "naive", "color": ORANGE, "marker": "s"},
-}
-
-
 def chart_relay() -> None:
-    """Draw delivered frames, latency and cost against the number of rooms, of the newest commit.
+    """Fill in delivered frames, latency and cost by the number of rooms, of the newest commit.
 
     Of several runs of one load, the one with the median processor time stands for all.
     """
@@ -181,25 +165,9 @@ def chart_relay() -> None:
         runs.sort(key=lambda run: float(run["relay_cpu_s_per_1000"]))
         loads.append({"relay": runs[len(runs) // 2], **runs[len(runs) // 2].get("compare", {})})
     rows = [row | {"server": name} for load in loads for name, row in load.items()]
-    figure, axes = plt.subplots(3, 1, figsize=(6.4, 7.6), sharex=True)
-    for name, style in SERVERS.items():
-        chosen = [row for row in rows if row["server"] == name]
-        rooms = [row["rooms"] for row in chosen]
-        axes[0].plot(rooms, [row["delivered_per_s"] / 1e3 for row in chosen], **style)
-        axes[1].plot(rooms, [row["forward_ms"]["p99"] for row in chosen], **style)
-        axes[2].plot(rooms, [row["relay_cpu_s_per_1000"] for row in chosen], **style)
-    axes[0].set_ylabel("delivered, 1,000 frames/s")
-    axes[0].legend(fontsize=8)
-    axes[1].set_yscale("log")
-    plain_ticks(axes[1].yaxis)
-    axes[1].set_ylabel("forwarding p99, ms")
-    axes[2].set_ylabel("processor time for\n1,000 frames delivered, s")
-    axes[2].set_ylim(bottom=0)
-    axes[2].set_xlabel("rooms of five at 30 frames/s each")
-    save(figure, "relay", lines[-1], "One relay process on one core, the load on the other")
     columns: dict[str, Column] = {
         "rooms": "rooms",
-        "server": lambda row: SERVERS[row["server"]]["label"],
+        "server": lambda row: {"relay": "pica relay", "naive": "naive"}[row["server"]],
         "delivered/s": "{delivered_per_s:,.0f}",
         "p50/p99, ms": lambda row: joined(row["forward_ms"], ("p50", "p99"), 1),
         "missing": "missing",
@@ -311,7 +279,7 @@ def chart_tables() -> None:
     found: dict[str, list[Row]] = defaultdict(list)
     for line in lines:
         for row in line["result"]["rows"]:
-            if row["variant"] != "full" or line["result"]["table"] == 1:
+            if row["variant"] != "full" or line["result"].get("table", 1) == 1:
                 found[row["variant"]].append(row)
     rows = [
         {

@@ -124,7 +124,7 @@ def _training(result: dict[str, Any]) -> Figures:
     found: Figures = {}
     for variant in ("linear", "full", "baseline"):
         rows = [row for row in result["rows"] if row["variant"] == variant]
-        for key in ("mse", "live_mse", "vertex_mm"):
+        for key in ("mse", "live_mse", "vertex_error_mm"):
             values = [row[key] for row in rows if row.get(key) is not None]
             if values:
                 found[f"{variant} {key}"] = statistics.mean(values)
@@ -158,7 +158,7 @@ ROWS: dict[str, Row] = {
         "--eval-frames 5",
         figures=_training,
     ),
-    "table 1": Row(words=f"eval --table 1 --frames 5 --runs {RUNS}", figures=_training),
+    "eval": Row(words=f"eval --frames 5 --runs {RUNS}", figures=_training),
     "demo": Row(
         words="demo --headless --size 1280x720 --seconds 10 --out {work}/demo",
         figures=_demo,

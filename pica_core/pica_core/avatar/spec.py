@@ -322,10 +322,6 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         "baseline": replace(FULL, network="deep_appearance", topology="tracked"),
     }
 )
-TABLE_1 = ("baseline", "full", "no_uv", "coarse", "linear")
-"""Rows of the paper's Table 1, in its order, and ours."""
-TABLE_2 = ("full", "nerf_pe", "uv_nope", "pe_2d", "pe_1d")
-"""Rows of the paper's Table 2, in its order."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,9 +1,8 @@
 """Held-out error by the paper's protocol, at the size of one table row per view.
 
 MSE is on 0-255 values over the rasterised pixels of the decoded mesh, on frames that training never
-saw, averaged over frames (paper, section 6). PSNR and SSIM are means over frames of the same
-pixels. `temporal_mse` is the error of the change from a frame to the next one of its take: flicker,
-which a mean over single frames does not show. Intervals are 95 % bootstrap intervals over frames.
+saw, averaged over frames (paper, section 6). SSIM is the mean over frames of the same pixels.
+Intervals are 95 % bootstrap intervals over frames.
 """
 
 from dataclasses import dataclass, field
@@ -33,20 +32,11 @@ III-B)."""
 SSIM_CONSTANTS = ((0.01 * WHITE) ** 2, (0.03 * WHITE) ** 2)
 RESAMPLES = 2000
 """Draws of the bootstrap: the ends of a 95 % interval are good to a few percent of its width."""
-BEST_PSNR_DB = 100.0
-"""What a picture without any error counts as."""
 
 
 def mse(predicted: Array, observed: Array) -> float:
     """Mean squared difference over pixels and channels, ``[P, 3]`` both."""
     return float(np.square(predicted.astype(np.float64) - observed).mean())
-
-
-def psnr_db(error: float) -> float:
-    """Peak signal to noise ratio of a mean squared error on 0-255."""
-    if error <= 0:
-        return BEST_PSNR_DB
-    return min(BEST_PSNR_DB, float(10 * np.log10(WHITE**2 / error)))
 
 
 def ssim(predicted: Array, observed: Array, covered: BoolArray) -> float:
@@ -189,13 +179,10 @@ class ModelEvaluator:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewErrors:
-    """What was measured in one view, a value for each frame."""
+    """What was measured in one view, a value for each frame that it has."""
 
     mse: list[float] = field(default_factory=list)
-    """One for each frame that the view has."""
     ssim: list[float] = field(default_factory=list)
-    change_mse: list[float] = field(default_factory=list)
-    """One for each frame whose successor is of the same take and split, and was not left out."""
 
     def row(self) -> dict[str, Any]:
         """Means, with the interval of the first."""
@@ -204,22 +191,9 @@ class ViewErrors:
             "mse": float(np.mean(self.mse)),
             "mse_low": low,
             "mse_high": high,
-            "psnr_db": float(np.mean([psnr_db(value) for value in self.mse])),
             "ssim": float(np.mean(self.ssim)),
-            "temporal_mse": float(np.mean(self.change_mse)) if self.change_mse else None,
             "frames": len(self.mse),
         }
-
-
-def successor(data: TrainingData, frame: int) -> int | None:
-    """The frame that follows directly in the same take, if there is one of the same split and it is
-    not left out."""
-    frames = data.capture.frames
-    if frame + 1 >= len(frames):
-        return None
-    now, after = frames[frame], frames[frame + 1]
-    wanted = now.listed + 1, now.segment, now.split
-    return frame + 1 if (after.listed, after.segment, after.split) == wanted else None
 
 
 def measure_views(
@@ -240,23 +214,14 @@ def measure_views(
     data = evaluator.data
     found = {view: ViewErrors() for view in data.images.evaluation_views}
     for frame in frames:
-        after = successor(data, frame)
         latent = evaluator.latent(frame, source)
-        later = None if after is None else evaluator.latent(after, source)
         for view, errors in found.items():
             if view not in data.images.cameras_of(frame):
                 continue
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera)
-            seen = picture.within(image)
-            errors.mse.append(mse(picture.colours, seen))
-            laid = picture.on(image)
-            errors.ssim.append(ssim(laid, image, picture.covered(camera)))
-            if after is None or later is None or view not in data.images.cameras_of(after):
-                continue
-            second = evaluator.draw(later, data.images.camera(after, view))
-            seen_after = second.within(data.images.image(after, view))
-            errors.change_mse.append(change_mse(picture, second, seen, seen_after))
+            errors.mse.append(mse(picture.colours, picture.within(image)))
+            errors.ssim.append(ssim(picture.on(image), image, picture.covered(camera)))
     measured = {view: errors for view, errors in found.items() if errors.mse}
     if not measured:
         raise CaptureError(
@@ -326,15 +291,3 @@ def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> 
     found = evaluator.vertices_m(evaluator.latent(frame, source))
     off_mm: FloatArray = 1000 * np.linalg.norm(found - wanted, axis=1)
     return off_mm
-
-
-def change_mse(
-    first: Picture, second: Picture, seen_first: FloatArray, seen_second: FloatArray
-) -> float:
-    """Error of the change from one frame to the next, over the pixels that both pictures cover:
-    what flickers, or moves too late. What is seen there is ``[P, 3]`` each."""
-    _, before, after = np.intersect1d(
-        first.pixels, second.pixels, assume_unique=True, return_indices=True
-    )
-    change = second.colours[after].astype(np.float64) - first.colours[before]
-    return mse(change, seen_second[after].astype(np.float64) - seen_first[before])

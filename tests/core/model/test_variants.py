@@ -12,7 +12,7 @@ from helpers.tolerances import PIXEL_FLOAT32
 from helpers.toy import PAPER_SPEC
 from helpers.trainable import exported, toy_prior
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.avatar.spec import FULL, TABLE_1, TABLE_2, VARIANTS, AvatarSpec
+from pica_core.avatar.spec import FULL, VARIANTS, AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar, make_model
 from pica_core.model.interface import (
     AvatarModel,
@@ -56,10 +56,6 @@ def test_each_row_is_full_with_one_part_replaced() -> None:
         ]
         # A baseline without the tracker's mesh would be another paper's.
         assert len(changed) == (0 if name == "full" else 2 if name == "baseline" else 1)
-
-
-def test_the_tables_name_all_variants() -> None:
-    assert set(TABLE_1) | set(TABLE_2) == set(VARIANTS)
 
 
 @pytest.mark.parametrize("variant", DECODED)

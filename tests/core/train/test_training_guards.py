@@ -15,12 +15,11 @@ import torch
 
 from helpers.published_capture import SEGMENTS, write_published
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.errors import CaptureError, TrainingDivergedError, TrainingError
 from pica_core.train.cli.train import ExportOptions, TrainOptions, export, train
 from pica_core.train.config import PAPER, PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
-from pica_core.train.evaluate import evaluate, successor
+from pica_core.train.evaluate import evaluate
 from pica_core.train.losses import PLAIN_WEIGHT, ROUGH_WEIGHTS
 from pica_core.train.objectives import IMAGE_WEIGHT, KL_WEIGHT, MESH_WEIGHT
 from pica_core.train.train import open_trainer, read_checkpoint, write_checkpoint
@@ -191,18 +190,3 @@ def test_without_expressions_no_avatar_is_exported(original: Path, tmp_path: Pat
     with pytest.raises(CaptureError, match="no expressions"):
         export(options)
     assert not options.out.exists()
-
-
-def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> None:
-    capture = write_published(tmp_path / "m--0001", frames=4)
-    before = TrainingData(Capture.open(capture))
-    first, second, *_ = before.test_frames
-    where = before.capture.frames[second]
-    (capture / mesh_path(where.segment, where.name)).unlink()
-
-    data = TrainingData(Capture.open(capture))
-
-    first, second, third = data.test_frames
-    assert successor(before, first) == second
-    assert successor(data, first) is None
-    assert successor(data, second) == third

@@ -1,16 +1,17 @@
-"""`pica eval`: the paper's tables from finished runs, and what stands beside them, as Markdown."""
+"""`pica eval`: the paper's two tables as one from finished runs, and what stands beside, as
+Markdown."""
 
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 
-from pica_core.avatar.spec import TABLE_1, TABLE_2
+from pica_core.avatar.spec import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingError, check_ranges
 from pica_core.train.config import TrainConfig
@@ -24,12 +25,9 @@ Key = tuple[str, str, str, int]
 Model = tuple[str, str, str]
 """A key without its seed: runs that a table shows in one line."""
 
-TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
 _MEANS = {
     "mse": ("MSE", 2),
-    "psnr_db": ("PSNR dB", 2),
     "ssim": ("SSIM", 4),
-    "temporal_mse": ("MSE of the change", 2),
     "vertex_error_mm": ("vertices mm", 3),
     "lid_error_mm": ("lids mm", 3),
     "lip_error_mm": ("lips mm", 3),
@@ -43,8 +41,6 @@ class EvalOptions:
 
     runs: tuple[Path, ...]
     """Folders of finished runs of `pica train`."""
-    table: Literal[1, 2] = 1
-    """Which of the paper's tables: 1 is baseline, full, no_uv and coarse; 2 the encodings."""
     frames: int = 25
     """Held-out frames to measure, evenly spaced."""
     capture: Path | None = None
@@ -61,33 +57,23 @@ class EvalOptions:
 
 
 def eval_runs(options: EvalOptions) -> dict[str, Any]:
-    """Measure finished runs and print one of the paper's tables."""
+    """Measure finished runs and print the paper's tables as one."""
     torch.set_num_threads(options.threads)
-    known = TABLES[options.table]
     states = {folder: read_checkpoint(folder) for folder in options.runs}
     configs = {folder: state["config"] for folder, state in states.items()}
-    for folder, config in configs.items():
-        if config.variant not in known:
-            told = f"{folder}: {config.variant} is no row of table {options.table}; left out"
-            print(told, file=sys.stderr)
-    wanted = [folder for folder in options.runs if configs[folder].variant in known]
-    if not wanted:
-        raise TrainingError(
-            f"no run is of table {options.table}: its models are {', '.join(known)}"
-        )
-    captures = {f: options.capture or Path(states[f]["capture"]) for f in wanted}
+    captures = {f: options.capture or Path(states[f]["capture"]) for f in options.runs}
     opened = {path: Capture.open(path) for path in captures.values()}
-    _check_apart([(captures[f], opened[captures[f]].identity, f, configs[f]) for f in wanted])
+    _check_apart([(captures[f], opened[captures[f]].identity, f, configs[f]) for f in options.runs])
     rows: list[dict[str, Any]] = []
     for path, capture in opened.items():
         data = TrainingData(capture)
-        for folder in [folder for folder in wanted if captures[folder] == path]:
+        for folder in [folder for folder in options.runs if captures[folder] == path]:
             print(f"{folder}: {configs[folder].variant}", file=sys.stderr, flush=True)
             with open_trainer(data, configs[folder], folder) as trainer:
                 trainer.restore()
                 rows += evaluate(trainer, max_frames=options.frames, sources=("encoder",))
     notes = sorted({str(each.info.get("source", each.path.name)) for each in opened.values()})
-    result = {"table": options.table, "captures": notes, "rows": rows}
+    result = {"captures": notes, "rows": rows}
     text = report(result)
     print(text)
     if options.out is not None:
@@ -117,24 +103,23 @@ def _check_apart(runs: Sequence[tuple[Path, str, Path, TrainConfig]]) -> None:
 
 
 def report(result: Mapping[str, Any]) -> str:
-    """The whole report of what `pica eval` finds, as one of the paper's tables."""
-    rows, variants = result["rows"], TABLES[result["table"]]
+    """The whole report of what `pica eval` finds."""
+    rows = result["rows"]
     parts = [
-        f"# Table {result['table']}",
+        "# Held-out error",
         "MSE on 0-255 values over rasterised pixels of held-out frames: the mean over "
         "seeds with the lowest and the highest of them, or of one seed with its 95 % bootstrap "
         "interval over frames. The captures' own note on what they are: "
         + "; ".join(result["captures"]),
-        error_table(rows, variants),
+        error_table(rows),
         "## Beside it",
-        "Means over views. The change is the one from a frame to the next of its take; distances "
-        "are those of vertices from the capture's best mesh.",
-        summary_table(rows, variants),
+        "Means over views. Distances are those of vertices from the capture's best mesh.",
+        summary_table(rows),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def error_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
+def error_table(rows: Sequence[Row]) -> str:
     """MSE by identity, model and view; the best of a view is bold.
 
     One seed stands with the interval over its frames, the mean of several with the lowest and the
@@ -158,10 +143,10 @@ def error_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
             ends = [own[0]["mse_low"], own[0]["mse_high"]]
         return f"{value} ({min(ends):.2f} to {max(ends):.2f})"
 
-    return _table(rows, variants, views, lambda model, _: [cell(model, view) for view in views])
+    return _table(rows, views, lambda model, _: [cell(model, view) for view in views])
 
 
-def summary_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
+def summary_table(rows: Sequence[Row]) -> str:
     """What stands beside the MSE: means over views and seeds, and what the model costs."""
 
     def cells(_: Model, own: Sequence[Row]) -> list[str]:
@@ -181,7 +166,7 @@ def summary_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
 
     head = [title for title, _ in _MEANS.values()]
     head += ["M parameters", "M multiply-adds", "a pixel", "steps", "seeds"]
-    return _table(rows, variants, head, cells)
+    return _table(rows, head, cells)
 
 
 def _key(row: Row) -> Key:
@@ -190,16 +175,14 @@ def _key(row: Row) -> Key:
 
 def _table(
     rows: Sequence[Row],
-    variants: Sequence[str],
     head: Sequence[str],
     cells: Callable[[Model, Sequence[Row]], Sequence[str]],
 ) -> str:
-    """A line for each model, by identity and in the table's order: its identity, its variant (with
-    its block where it has several), and its cells, made of its rows. Variants that the table does
-    not name are left out."""
-    known = {_key(row)[:3] for row in rows if row["variant"] in variants}
+    """A line for each model, by identity and in the order of `VARIANTS`: its identity, its variant
+    (with its block where it has several), and its cells, made of its rows."""
+    known, order = {_key(row)[:3] for row in rows}, list(VARIANTS)
     lines = [["identity", "model", *head], ["---"] * (2 + len(head))]
-    for model in sorted(known, key=lambda each: (each[0], variants.index(each[1]), each[2])):
+    for model in sorted(known, key=lambda each: (each[0], order.index(each[1]), each[2])):
         blocks = {other[2] for other in known if other[:2] == model[:2]}
         label = model[1] + (f", block {model[2]}" if len(blocks) > 1 else "")
         own = [row for row in rows if _key(row)[:3] == model]
