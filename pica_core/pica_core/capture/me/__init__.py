@@ -1,1 +1,1 @@
-"""Avatars of real people: the face model is fitted to a scan, to photos or to a video."""
+"""Avatars of real people: the face model is fitted to a scan."""

@@ -1,6 +1,6 @@
-"""A fitted head of a real person: what a scan, photos or a video come to, and what is captured.
+"""A fitted head of a real person: what a scan comes to, and what is captured.
 
-    fit (scan, photos) -> `OwnHead` -> `OwnSubject` -> capture -> train -> export
+    fit -> `OwnHead` -> `OwnSubject` -> capture -> train -> export
 
 The chain behind `OwnHead` is that of all people (`person.subject`): lids and lips closed, hair and
 clothes added, eyes, teeth and tongue painted. Skin wears the texture that the fit made, on the
@@ -68,7 +68,6 @@ class OwnHead:
         person: Hair, clothes, and choices for what nothing shows.
         look: Linear colours that were found, by the names of `stage.paint.PAINT` (``skin_rgb``,
             ``hair_rgb``, ``brow_rgb``, ``lip_rgb``, ``iris_rgb``); they go before the person's.
-        source: ``scan``, ``photos`` or ``video``.
         guessed: What was not seen and is proposed, in words.
     """
 
@@ -76,7 +75,6 @@ class OwnHead:
     texture: ByteArray
     person: Person
     look: dict[str, tuple[float, ...]]
-    source: str
     guessed: tuple[str, ...] = field(default=())
 
     def write(self, path: Path) -> None:
@@ -85,10 +83,7 @@ class OwnHead:
         Raises:
             CaptureError: The file cannot be written.
         """
-        told = {
-            "person": asdict(self.person), "look": self.look, "source": self.source,
-            "guessed": self.guessed,
-        }  # fmt: skip
+        told = {"person": asdict(self.person), "look": self.look, "guessed": self.guessed}
         stored = io.BytesIO()
         Image.fromarray(self.texture).save(stored, "PNG")
         write_archive(
@@ -114,7 +109,6 @@ def read_head(path: Path) -> OwnHead:
             texture=np.asarray(Image.open(io.BytesIO(found["texture"].tobytes()))),
             person=Person(**person | {"coefficients": tuple(person["coefficients"])}),
             look={name: tuple(value) for name, value in told["look"].items()},
-            source=str(told["source"]),
             guessed=tuple(told["guessed"]),
         )
     except (KeyError, ValueError, TypeError, OSError) as error:
@@ -131,7 +125,7 @@ class OwnSubject(Subject):
         super().__init__(
             head,
             {
-                "source": f"made from {SOURCES[own.source]} of the person, who has agreed",
+                "source": "made from a scan of the person, who has agreed",
                 "licence": f"the person's own; face model: {RIGHTS}",
                 "guessed": list(own.guessed),
             },
@@ -141,9 +135,6 @@ class OwnSubject(Subject):
             bake_size=bake_size,
             self_shadow=self_shadow,
         )
-
-
-SOURCES = {"scan": "a scan", "photos": "photos", "video": "a video"}
 
 
 def own_rig(own: OwnHead) -> tuple[RigHead, Growth]:

@@ -36,6 +36,7 @@ from pica_core.capture.me.scan import Scan
 from pica_core.capture.me.views import MeshViews
 from pica_core.capture.person.choices import FaceModel, read_model
 from pica_core.capture.triangles import (
+    edges,
     mean_of_neighbours,
     samples,
     vertex_normals,
@@ -43,7 +44,7 @@ from pica_core.capture.triangles import (
 )
 from pica_core.errors import CaptureError
 from pica_core.face_networks import FaceNetworks
-from pica_core.types import BoolArray, Float64Array, FloatArray
+from pica_core.types import BoolArray, Float64Array, IntArray
 
 UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "inch": 39.37}
 UNIT_OFF = 0.15
@@ -191,7 +192,7 @@ def _find(scan: Scan, views: MeshViews, networks: FaceNetworks) -> Similarity:
             places, weights, sure = _landmarks(views, camera, networks)
             if sure <= SURE or (weights > 0).sum() < LANDMARKS // 2:
                 continue
-            face = fit_face(landmark_places(), places, weights, with_shapes=False)
+            face = fit_face(landmark_places(), places, weights)
             off_m = float(np.median(face.residual_m[weights > 0]))
             if off_m > best[0]:
                 continue
@@ -261,13 +262,12 @@ def _fit(scan: Scan, views: MeshViews, networks: FaceNetworks, rough: Similarity
         )
         weights = (count >= 2) / (1 + (apart / 0.002) ** 2)
         measured = pose.apply(middle)
-        face = fit_face(places, measured, weights, with_shapes=False)
+        face = fit_face(places, measured, weights)
         # Size and the modes of size cannot both be found: of an unknown unit, a head is average.
-        average = face.pose.scale * _size(places.at(face.coefficients, face.shapes))
+        average = face.pose.scale * _size(places.at(face.coefficients))
         average /= _size(places.mean_m)
         scale = UNITS.get(_unit(average), average)
-        # A scan is asked to be at rest: shapes would take a part of who it is.
-        face = fit_face(places, measured, weights, with_shapes=False, scale=scale)
+        face = fit_face(places, measured, weights, scale=scale)
         pose = face.pose
     assert face is not None
     if np.median(face.residual_m[weights > 0]) > NO_FACE_M:
@@ -311,13 +311,12 @@ def sample(scan: Scan, pose: Similarity) -> ScanCloud:
     )
 
 
-def _border(points: Float64Array, faces: FloatArray) -> Float64Array:
+def _border(points: Float64Array, faces: IntArray) -> IntArray:
     """Vertices of edges that one triangle alone has; places count, not numbers."""
     _, same = np.unique(np.round(points, 6), axis=0, return_inverse=True)
-    welded = same.reshape(-1)[faces]
-    sides = np.sort(welded[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    sides = np.sort(same.reshape(-1)[edges(faces)], axis=1)
     _, index, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
-    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)[index[count == 1]].ravel()
+    return edges(faces)[index[count == 1]].ravel()
 
 
 def refine(

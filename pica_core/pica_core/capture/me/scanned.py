@@ -8,27 +8,152 @@ Hair: the model's scalp was drawn out to the scan's surface, hair or skin, and w
 where the scan has no crown, a style is proposed.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import moderngl
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.me.face import landmark_places
-from pica_core.capture.me.head import OwnHead
+from pica_core.capture.me.head import TEXTURE_SIZE, OwnHead, chart_uv
 from pica_core.capture.me.register import Registered
-from pica_core.capture.me.skin import linear, nearest_name, skin_colours, stored, unlit
-from pica_core.capture.me.unwrap import Unwrapped
 from pica_core.capture.person.choices import (
     CLIP,
     EYE_COLOURS,
     HAIR_COLOURS,
     NUM_MODES,
+    SKIN_TONES,
+    FaceModel,
     Person,
     read_model,
 )
-from pica_core.capture.rig.features import find_features, hair_coverage
-from pica_core.types import Float64Array
+from pica_core.capture.rig.features import Features, find_features, hair_coverage
+from pica_core.gl import create_context, link_program
+from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, Int64Array
+
+FLAT = """#version 330
+in vec2 uv;
+in vec3 marks;
+out vec3 mark;
+void main() { mark = marks; gl_Position = vec4(uv * 2.0 - 1.0, 0.0, 1.0); }
+"""
+MARK = """#version 330
+in vec3 mark;
+out vec3 mark_out;
+void main() { mark_out = mark; }
+"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Unwrapped:
+    """The model's skin laid flat.
+
+    Attributes:
+        seen: Which texels of a head's texture are skin. ``[S, S]``.
+        faces: Corners of the triangle of each of these. ``[T, 3]``.
+        weights: Where in it each lies. ``[T, 3]``.
+    """
+
+    seen: BoolArray
+    faces: Int64Array
+    weights: Float64Array
+
+    def at(self, values: FloatArray | Float64Array) -> Float64Array:
+        """Values of vertices ``[P, ...]`` at the texels. ``[T, ...]``."""
+        found: Float64Array = np.einsum("tk,tk...->t...", self.weights, values[self.faces])
+        return found
+
+
+def unwrap(model: FaceModel, size: int = TEXTURE_SIZE) -> Unwrapped:
+    """Find the triangle of each texel of the model's skin."""
+    skin = model.mean.part == MATERIALS.index("skin")
+    uv = chart_uv(model)[model.mean.uv_faces[skin]].reshape(-1, 2)
+    count = len(uv) // 3
+    ends = np.tile([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], (count, 1))
+    data = np.concatenate([uv, np.repeat(np.arange(count) + 1.0, 3)[:, None], ends], 1)
+    context: Any = create_context()
+    try:
+        program = link_program(context, vertex=FLAT, fragment=MARK)
+        corners = context.buffer(data.astype("f4").tobytes())
+        mesh = context.vertex_array(program, [(corners, "2f 3f", "uv", "marks")])
+        target = context.framebuffer([context.texture((size, size), 3, dtype="f4")])
+        target.use()
+        target.clear()
+        context.enable_only(moderngl.NOTHING)
+        mesh.render()
+        marks = np.frombuffer(target.read(components=3, dtype="f4"), np.float32)
+    finally:
+        context.gc()
+        context.release()
+    marks = marks.reshape(size, size, 3)
+    seen = marks[..., 0] > 0.5
+    number, a, b = marks[seen].astype(np.float64).T
+    faces = model.mean.faces[skin][np.rint(number).astype(np.int64) - 1]
+    return Unwrapped(
+        seen=seen, faces=faces.astype(np.int64), weights=np.stack([a, b, 1 - a - b], 1)
+    )
+
+
+STAGE_LIGHT = np.array([1.62, 1.55, 1.49])
+"""Mean light of the stage on a face (measured on drawn people)."""
+
+
+def linear(srgb: Float64Array | ByteArray) -> Float64Array:
+    """Linear colours of sRGB ones, 0 to 255."""
+    value = np.asarray(srgb, np.float64) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def unlit(colour: Float64Array) -> Float64Array:
+    """What the stage must be given to show a linear colour: its tone curve backwards."""
+    y = np.minimum(colour, 0.98)
+    # y = x (1 + 0.16 x) / (1 + 0.42 x)
+    half = 0.5 * (1 - 0.42 * y) / 0.16
+    x = -half + np.sqrt(half**2 + y / 0.16)
+    return np.asarray(x / 0.92 / STAGE_LIGHT)
+
+
+def skin_colours(
+    albedo: Float64Array, face: BoolArray, places: Float64Array, lips: Float64Array,
+    features: Features,
+) -> tuple[dict[str, tuple[float, ...]], float]:  # fmt: skip
+    """Colours of skin, lips and brows by their names in `PAINT`, and the nearest tone, 1 to 6.
+
+    Args:
+        albedo: Of texels, linear. ``[T, 3]``.
+        face: Those of the inner face that are seen. ``[T]``.
+        places: Where they lie, head frame. ``[T, 3]``.
+        lips: How deep in the lips, see `Features.lips`. ``[T]``.
+    """
+    x, y = np.abs(places[:, 0]), places[:, 1]
+    cheek = face & (lips < -0.8) & (y < 0.005) & (y > -0.06)
+    rest = cheek if cheek.sum() > 100 else face
+    skin = np.median(albedo[rest], axis=0) if rest.any() else np.array(SKIN_TONES[1])
+    look = {"skin_rgb": _as_colour(skin)}
+    if (mouth := face & (lips > 0.3)).sum() > 50:
+        look["lip_rgb"] = _as_colour(np.median(albedo[mouth], axis=0))
+    brow = face & (np.abs(y - features.brow_y) < 0.008) & (x > 0.015) & (x < 0.05)
+    if brow.sum() > 50:
+        bright = albedo[brow].sum(1)
+        dark = np.median(albedo[brow][bright <= np.quantile(bright, 0.25)], axis=0)
+        look["brow_rgb"] = _as_colour(np.minimum(dark, 0.12))
+    steps = np.linspace(1, 6, 51)
+    tones = [np.interp(steps, np.arange(1, 7), np.array(SKIN_TONES)[:, k]) for k in range(3)]
+    apart = np.linalg.norm(np.log(np.stack(tones, 1)) - np.log(np.maximum(skin, 1e-3)), axis=1)
+    return look, float(steps[apart.argmin()])
+
+
+def _as_colour(rgb: Float64Array) -> tuple[float, ...]:
+    return tuple(np.round(np.clip(rgb, 0.005, 0.9), 4).tolist())
+
+
+def nearest_name(table: dict[str, tuple[float, float, float]], rgb: Float64Array) -> str:
+    """The name of the nearest colour of a table such as `choices.EYE_COLOURS`."""
+    wanted = np.log(np.maximum(rgb, 1e-3))
+    return min(table, key=lambda name: float(np.linalg.norm(np.log(table[name]) - wanted)))
+
 
 NEAREST = 4
 """Samples that a texel's colour is mixed of."""
@@ -57,28 +182,26 @@ def head_of_scan(found: Registered, chosen: dict[str, str]) -> OwnHead:
     model = read_model()
     features = find_features(model.shaped(found.rest_m))
     guessed = ["inside of the mouth, teeth and tongue", "clothes"]
-    with Unwrapped(model) as flat:
-        places = flat.at(found.rest_m)
-        colours, alpha = _colours(found, places, flat.at(found.seen))
-        lips, gap = flat.at(features.lips), flat.at(features.eye_gap_m)
-        alpha *= np.clip((gap - LID_EDGE_M[0]) / np.diff(LID_EDGE_M)[0], 0, 1)
-        alpha *= np.clip((1.2 - lips) / 0.4, 0, 1)
-        inner = flat.at(features.regions["face"].astype(np.float64)) > 0.5
-        look, tone = skin_colours(colours, inner & (alpha > 0.5), places, lips, features)
-        scalp = flat.at(hair_coverage(found.rest_m)) > 0.3
-        texture = np.zeros((*flat.seen.shape, 4), np.uint8)
-        texture[flat.seen, :3] = stored(colours)
-        opaque = np.zeros(flat.seen.shape)
-        opaque[flat.seen] = alpha
-        # Not over the edges of islands, where nothing lies beside.
-        share = gaussian_filter(flat.seen.astype(np.float64), FEATHER_TEXELS)
-        soft = gaussian_filter(opaque, FEATHER_TEXELS) / np.maximum(share, 1e-6)
-        texture[..., 3] = np.rint(255 * np.minimum(opaque, soft))
-        # What filters reach beyond the edges is as the edge.
-        row, column = distance_transform_edt(
-            ~flat.seen, return_distances=False, return_indices=True
-        )
-        texture = texture[row, column]
+    flat = unwrap(model)
+    places = flat.at(found.rest_m)
+    colours, alpha = _colours(found, places, flat.at(found.seen))
+    lips, gap = flat.at(features.lips), flat.at(features.eye_gap_m)
+    alpha *= np.clip((gap - LID_EDGE_M[0]) / np.diff(LID_EDGE_M)[0], 0, 1)
+    alpha *= np.clip((1.2 - lips) / 0.4, 0, 1)
+    inner = flat.at(features.regions["face"].astype(np.float64)) > 0.5
+    look, tone = skin_colours(colours, inner & (alpha > 0.5), places, lips, features)
+    scalp = flat.at(hair_coverage(found.rest_m)) > 0.3
+    texture = np.zeros((*flat.seen.shape, 4), np.uint8)
+    texture[flat.seen, :3] = np.rint(255 * np.clip(colours, 0, 1) ** (1 / 2.2))
+    opaque = np.zeros(flat.seen.shape)
+    opaque[flat.seen] = alpha
+    # Not over the edges of islands, where nothing lies beside.
+    share = gaussian_filter(flat.seen.astype(np.float64), FEATHER_TEXELS)
+    soft = gaussian_filter(opaque, FEATHER_TEXELS) / np.maximum(share, 1e-6)
+    texture[..., 3] = np.rint(255 * np.minimum(opaque, soft))
+    # What filters reach beyond the edges is as the edge.
+    row, column = distance_transform_edt(~flat.seen, return_distances=False, return_indices=True)
+    texture = texture[row, column]
     style, hair = _hair(colours[scalp], alpha[scalp], np.array(look["skin_rgb"]))
     if style == PROPOSED:
         guessed.append("hair: the scan has no crown")
@@ -105,7 +228,6 @@ def head_of_scan(found: Registered, chosen: dict[str, str]) -> OwnHead:
         texture=texture,
         person=replace(person, **choices | chosen),
         look=look,
-        source="scan",
         guessed=tuple(guessed),
     )
 
@@ -137,7 +259,7 @@ def _hair(
 
 def _iris(found: Registered, skin: Float64Array) -> Float64Array | None:
     """Colour of the irises, where the scan has open eyes."""
-    pupils = landmark_places().at(found.face.coefficients, found.face.shapes)[[468, 473]]
+    pupils = landmark_places().at(found.face.coefficients)[[468, 473]]
     rings = []
     for pupil in pupils:
         offset = np.linalg.norm(found.cloud.points - pupil, axis=1)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.me.face import Surface, fit_face, landmark_places
+from pica_core.capture.me.face import fit_face, landmark_places
 from pica_core.capture.me.head import chart_uv
 from pica_core.capture.person.choices import NUM_MODES, read_model
 
@@ -19,15 +18,12 @@ def test_a_face_is_found_in_its_landmarks_in_any_frame(seed: int, size: float) -
     random = np.random.default_rng(seed)
     places = landmark_places()
     coefficients = random.normal(0, 0.8, NUM_MODES)
-    shapes = np.zeros(NUM_ARKIT)
-    shapes[ARKIT_INDEX["jawOpen"]] = 0.3
     turn = Rotation.random(random_state=seed).as_matrix()
-    truth = places.at(coefficients, shapes)
+    truth = places.at(coefficients)
     measured = size * truth @ turn.T + random.normal(size=3)
     face = fit_face(places, measured, np.ones(len(truth)))
     assert np.median(face.residual_m) < 0.0006
     np.testing.assert_allclose(face.pose.undo(face.pose.apply(truth)), truth, atol=1e-9)
-    assert face.shapes[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.3, abs=0.15)
 
 
 def test_landmarks_lie_where_their_names_say() -> None:
@@ -36,18 +32,6 @@ def test_landmarks_lie_where_their_names_say() -> None:
     assert right_corner[0] < -0.03 < 0.03 < left_corner[0]
     assert tip[2] > places[:, 2].max() - 0.004
     assert chin[1] < places[:, 1].min() + 0.01
-
-
-def test_the_nearest_place_of_a_surface_is_no_farther_than_any_corner() -> None:
-    mean = read_model(coarse=True).mean
-    surface = Surface(mean.rest_m, mean.faces)
-    points = mean.rest_m[::50] + np.random.default_rng(0).normal(0, 0.005, (93, 3))
-    faces, weights, apart = surface.nearest(points)
-    there = np.einsum("nk,nkc->nc", weights, mean.rest_m[mean.faces[faces]])
-    np.testing.assert_allclose(np.linalg.norm(there - points, axis=1), apart, atol=1e-12)
-    corners = np.linalg.norm(mean.rest_m[None] - points[:, None], axis=2).min(1)
-    assert (apart <= corners + 1e-9).all()
-    np.testing.assert_allclose(weights.sum(1), 1, atol=1e-9)
 
 
 def test_no_two_places_of_the_skin_share_a_texel() -> None:
