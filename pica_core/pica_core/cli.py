@@ -16,7 +16,7 @@ from rich.progress import Progress as ProgressBar
 from pica_core.avatar.file import avatar_file, avatar_id, load_avatar
 from pica_core.avatar.spec import pixel_codec_cost
 from pica_core.capture.dataset.check import check_capture
-from pica_core.capture.dataset.multiface import read_json, write_aside
+from pica_core.capture.dataset.multiface import read_bytes, read_json, write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.subject import RigSubject, Subject
@@ -131,6 +131,19 @@ class LookChoices:
     clothes_colour: str | None = None
     """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
 
+    def chosen(self) -> dict[str, Any]:
+        """The fields of `Person` that are named.
+
+        Raises:
+            CaptureError: A name that there is not.
+        """
+        values = {name: getattr(self, name, None) for name in (*NAMED, "age", "skin")}
+        values = {name: value for name, value in values.items() if value is not None}
+        for name, value in values.items():
+            if name in NAMED and value not in NAMED[name]:
+                raise CaptureError(f"{name} is {value!r}; there are {', '.join(NAMED[name])}")
+        return values
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PersonOptions(LookChoices, RenderOptions):
@@ -151,8 +164,7 @@ class PersonOptions(LookChoices, RenderOptions):
 
     def choose(self) -> Person:
         """The person that is meant."""
-        names = (*NAMED, "age", "skin")
-        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        chosen = self.chosen()
         if self.person is None:
             return draw_person(self.seed, **chosen)
         if chosen:
@@ -223,14 +235,6 @@ class MeChoices(LookChoices):
     yes: bool = False
     """The person agrees that an avatar is made of them; without it, you are asked."""
 
-    def chosen(self) -> dict[str, str]:
-        """The fields of `Person` that are named."""
-        values = {name: getattr(self, name) for name in NAMED if hasattr(self, name)}
-        for name, value in values.items():
-            if value is not None and value not in NAMED[name]:
-                raise CaptureError(f"{name} is {value!r}; there are {', '.join(NAMED[name])}")
-        return {name: value for name, value in values.items() if value is not None}
-
 
 AGREES = "Is this you, or does the person agree that an avatar is made of them? [y/N] "
 MADE_OF = "made_of.json"
@@ -256,7 +260,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     if choices.scan is None:
         raise CaptureError("name what to make the head of: --scan FILE")
     files = [each for each in (choices.scan, choices.texture) if each is not None]
-    asked = {"of": [file_digest(each) for each in files], "chosen": choices.chosen()}
+    digests = [hashlib.sha256(read_bytes(each)).hexdigest() for each in files]
+    asked = {"of": digests, "chosen": choices.chosen()}
     if path.exists():
         if read_json(folder / MADE_OF) != asked:
             raise CaptureError(f"{folder}: holds a head of something else; name another folder")
@@ -283,19 +288,6 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     console.print(f"pictures of scan and fitted head: {folder / REPORT}", highlight=False)
     head.write(path)
     return path
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises:
-        CaptureError: It cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

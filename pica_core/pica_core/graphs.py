@@ -137,9 +137,7 @@ def decoder_graph(avatar: Avatar, *, level: int | None = None, positions: bool =
         ValueError: The avatar does not have this level.
     """
     size = MAP_SIZE if level is None else level
-    if size not in avatar.levels:
-        known = ", ".join(map(str, avatar.levels))
-        raise ValueError(f"level is {size}; this avatar has {known}")
+    avatar.level_faces(size)  # refuses a level that is not there
     graph = GraphBuilder()
     grid = graph.add("Transpose", "latent", perm=[0, 3, 1, 2])
     inputs: dict[str, Shape] = {"latent": [1, *LATENT_SHAPE], "view_direction": [1, VIEW_CHANNELS]}

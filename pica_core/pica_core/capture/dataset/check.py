@@ -80,7 +80,10 @@ def check_capture(directory: Path) -> dict[str, Any]:
             except CaptureError as error:
                 problems.append(str(error))
     if not problems:
-        problems += _judge_pictures(capture)
+        problems += _judge_chart(capture)
+    if not problems and capture.has_expressions:
+        step = max(len(capture.frames) // NUM_FRAMES, 1)
+        problems += _judge_face(capture, capture.frames[::step])
     images = sum(len(capture.cameras_of(frame)) for frame in capture.frames)
     counts = {"frames": len(capture.frames), "cameras": len(capture.cameras), "images": images}
     return {"ok": not problems, "problems": problems, **counts, "split": split}
@@ -99,19 +102,6 @@ def _see(capture: Capture, frame: CaptureFrame) -> None:
                 f"{capture.path / multiface.KRT}: camera {name} sees {seen:.1%} of the mesh of "
                 f"{frame.segment} {frame.name}"
             )
-
-
-def _judge_pictures(capture: Capture) -> list[str]:
-    """What is wrong with what a capture shows, a line each; empty where all is well.
-
-    Raises:
-        CaptureError: A file cannot be read.
-    """
-    problems = _judge_chart(capture)
-    if capture.has_expressions:
-        step = max(len(capture.frames) // NUM_FRAMES, 1)
-        problems += _judge_face(capture, capture.frames[::step])
-    return problems
 
 
 def _judge_chart(capture: Capture) -> list[str]:

@@ -64,12 +64,9 @@ def describe_published(root: Path) -> tuple[dict[str, Any], tuple[files.CaptureF
     held_out = segments[middle::HELD_OUT_EVERY] if len(segments) > 1 else []
     frames = tuple(
         files.CaptureFrame(
-            listed=index,
-            segment=segment,
-            name=name,
-            split="test" if segment in held_out else "train",
+            segment=segment, name=name, split="test" if segment in held_out else "train"
         )
-        for index, (segment, name) in enumerate(names)
+        for segment, name in names
     )
     width, height = _image_size(root)
     info = {

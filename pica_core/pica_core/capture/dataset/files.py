@@ -43,8 +43,6 @@ MAX_VERTICES = 4_000_000
 class CaptureFrame:
     """One moment of a capture."""
 
-    listed: int
-    """Place in the capture's list, of which `Capture.frames` leaves out what cannot be used."""
     segment: str
     """Take that the frame belongs to."""
     name: str
@@ -234,7 +232,7 @@ def read_frames(path: Path) -> tuple[CaptureFrame, ...]:
             raise CaptureError(f"{where}: a value is not finite or beyond {MAX_EXPRESSION}")
         check_frame_name(where, segment, name, frames)
         frames[segment, name] = CaptureFrame(
-            listed=index, segment=segment, name=name, split=split, arkit=values.astype(np.float32)
+            segment=segment, name=name, split=split, arkit=values.astype(np.float32)
         )
     train, test = (
         {each.segment for each in frames.values() if each.split == split} for split in SPLITS

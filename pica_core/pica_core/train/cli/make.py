@@ -2,7 +2,7 @@
 
 import re
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +60,7 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
         seconds[step] = round(seconds[step] + time.monotonic(), 1)
 
     begin("fit")
-    choices = {each.name: getattr(options, each.name) for each in fields(MeChoices)}
-    head = make_head(MeChoices(**choices), folder, console)
+    head = make_head(options, folder, console)
     end("fit")
     begin("capture")
     capture, run = folder / "capture", folder / "run"
