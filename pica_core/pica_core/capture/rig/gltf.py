@@ -1,8 +1,8 @@
 """Read a rig from glTF (.glb, .vrm, .gltf): every mesh of the scene with its morph targets.
 
-Understood are triangles, strips and fans, node transforms, skins in the pose of their nodes,
-default weights, base or diffuse colours (images with their texture transforms, factors, vertex
-colours), and materials that one sees through.
+Understood are lists of triangles, node transforms, skins in the pose of their nodes, default
+weights, base or diffuse colours (images with their texture transforms, factors, vertex colours),
+and materials that one sees through.
 
 Brows, lashes and lace are cards: their triangles are cut along the edge of their picture, which is
 opaque where there is something. A triangle that is opaque in part is divided into `PARTS` squared
@@ -114,7 +114,7 @@ def _clip(values: Float64Array, points: Float64Array, inside: list[bool]) -> Flo
     return np.stack(found, 1)
 
 
-TRIANGLES, STRIP, FAN = 4, 5, 6
+TRIANGLES = 4
 MAX_NODE_DEPTH = 64
 CLEAR = 0.5
 """Where a blended material is less opaque than this, it hides nothing."""
@@ -276,17 +276,6 @@ def _image(file: GltfFile, index: Any) -> ByteArray:
     return open_image(f"{file.path}: image {number}", data)
 
 
-def _triangles(index: Int64Array, mode: int) -> Int64Array:
-    """Triangles of a list of vertices, a strip or a fan. ``[F, 3]``."""
-    if mode == TRIANGLES:
-        return index.reshape(-1, 3)
-    first = np.full(len(index) - 2, index[0]) if mode == FAN else index[:-2]
-    faces = np.stack([first, index[1:-1], index[2:]], 1)
-    if mode == STRIP:  # every second one is turned round
-        faces[1::2, 1:] = faces[1::2, :0:-1]
-    return faces
-
-
 class _Builder:
     """Primitives of all meshes, put one after the other."""
 
@@ -309,6 +298,8 @@ class _Builder:
         mode = primitive.get("mode", TRIANGLES)
         if mode < TRIANGLES:  # points and lines
             return
+        if mode > TRIANGLES:
+            raise CaptureError(f"{file.path}: strips or fans of triangles; export lists of them")
         attributes = primitive["attributes"]
         number = primitive.get("material", len(self.materials) - 1)
         if not 0 <= number < len(self.materials):
@@ -331,13 +322,12 @@ class _Builder:
         index = np.arange(count)
         if "indices" in primitive:
             index = file.accessor(primitive["indices"], 1, 3 * MAX_ELEMENTS)[:, 0].astype(np.int64)
-        is_whole = len(index) >= 3 and (mode != TRIANGLES or len(index) % 3 == 0)
-        if not is_whole or index.min() < 0 or index.max() >= count:
+        if not len(index) or len(index) % 3 or index.min() < 0 or index.max() >= count:
             raise CaptureError(
                 f"{file.path}: indices {primitive.get('indices')}: {len(index)} indices up to "
                 f"{index.max(initial=0)}; triangles of {count} vertices are needed"
             )
-        faces = (_triangles(index, mode) + span.start).astype(np.int32)
+        faces = (index.reshape(-1, 3) + span.start).astype(np.int32)
         is_mirrored = np.median(np.linalg.det(placed.places[:, :3, :3])) < 0
         self.faces.append(faces[:, ::-1] if is_mirrored else faces)
         self.material.append(np.full(len(faces), number, np.int32))

@@ -210,25 +210,6 @@ def lines_in_the_picture(rig: WildRig) -> None:
         uv[rings[[0, -1]]] = uv[rings[[1, -2]]]
 
 
-def strips(rig: WildRig) -> None:
-    """The skin as one strip, in which triangles without area join the others; eyes as fans."""
-    skin, *eyes = rig.primitives[:3]
-    strip: list[int] = []
-    for a, b, c in rig.arrays[skin["indices"]].reshape(-1, 3).tolist():
-        strip += [strip[-1], a, a] if strip else [a]  # each begins at an odd place ...
-        strip += [c, b] if len(strip) % 2 == 0 else [b, c]  # ... or is turned round
-    skin |= {"mode": 5, "indices": rig.add(np.array(strip, "<u2").reshape(-1, 1))}
-    for eye in eyes:
-        corners = rig.arrays[eye["indices"]]
-        rig.primitives.remove(eye)
-        fans = [
-            {**eye, "mode": 6, "indices": rig.add(corners[k : k + 3])}
-            for k in range(0, len(corners), 3)
-        ]
-        rig.document["meshes"][0]["primitives"].extend(fans)
-        eye["mode"] = 0  # points draw nothing
-
-
 def glossy(rig: WildRig) -> None:
     """The picture where converters of older materials leave it."""
     material = rig.document["materials"][0]
@@ -318,9 +299,8 @@ def exported_by_unity(rig: WildRig) -> None:
 FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
-        repeated, transformed, second_uv, quantized, jointed, tinted,
-        named_by_targets, open_at_rest, open_by_its_node, sparse, lines_in_the_picture,
-        glasses, strips, glossy,
+        repeated, transformed, second_uv, quantized, tinted, named_by_targets,
+        open_by_its_node, sparse, lines_in_the_picture, glossy,
         like_ready_player_me, like_vroid, named_by_maya, named_by_blender, exported_by_unity,
     )
 }  # fmt: skip
