@@ -66,8 +66,9 @@ class Unwrapped:
         return found
 
 
-def unwrap(model: FaceModel, size: int = TEXTURE_SIZE) -> Unwrapped:
+def unwrap(model: FaceModel) -> Unwrapped:
     """Find the triangle of each texel of the model's skin."""
+    size = TEXTURE_SIZE
     skin = model.mean.part == MATERIALS.index("skin")
     uv = chart_uv(model)[model.mean.uv_faces[skin]].reshape(-1, 2)
     count = len(uv) // 3
