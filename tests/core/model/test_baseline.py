@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.toy import make_toy_avatar, with_toy_levels
 from helpers.trainable import toy_prior
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import make_model
 from pica_core.model.baseline import USUAL_INPUTS, Connected
 from pica_core.model.interface import ModelOptions
+from pica_core.reference import baseline_like
 
 pytestmark = pytest.mark.train
 
@@ -45,3 +47,14 @@ def test_a_layer_of_many_inputs_moves_no_further_in_a_step_than_a_usual_one() ->
 
     assert moved[0] == pytest.approx(1e-3 * USUAL_INPUTS, rel=1e-3)
     assert moved[1] == pytest.approx(moved[0], rel=0.01)
+
+
+def test_the_mesh_to_compare_with_is_the_level_nearest_to_the_published_one() -> None:
+    avatar = with_toy_levels(make_toy_avatar(grid=100, spec=SPEC))
+    sizes = {level: len(avatar.level_faces(level)) for level in avatar.levels}
+    assert min(sizes, key=lambda level: abs(sizes[level] - 10_936)) == 128
+    baseline = baseline_like(avatar)
+    assert len(baseline.faces) == sizes[128]
+    kept = np.unique(avatar.level_faces(128))
+    rest_m = baseline.tensors["mesh.bias"].reshape(-1, 3)
+    np.testing.assert_array_equal(rest_m, avatar.mean_vertices_m[kept])

@@ -43,7 +43,7 @@ def test_images_share_alike_whatever_their_numbers_of_pixels() -> None:
 # --- image, mesh, KL
 
 
-def test_image_and_mesh_loss_agree_with_numpy() -> None:
+def test_image_mesh_and_normal_loss_agree_with_numpy() -> None:
     predicted, observed = random(5, 3), random(5, 3, seed=1)
     squares = np.square(predicted.numpy() - observed.numpy())
     found = float(
@@ -56,6 +56,10 @@ def test_image_and_mesh_loss_agree_with_numpy() -> None:
     apart = np.square(1000 * (meshes.numpy() - tracked.numpy())).sum(2)
     wanted = np.average(apart, axis=1, weights=weights.numpy()).mean()
     assert float(losses.mesh_loss(meshes, tracked, weights)) == pytest.approx(wanted, rel=1e-12)
+
+    share = one_image(torch.ones(5, dtype=torch.bool))
+    found = float(losses.normal_loss(predicted, observed, share))
+    assert found == pytest.approx(3 * squares.mean(), rel=1e-12)
 
 
 def test_the_divergence_agrees_with_its_integral() -> None:
@@ -74,7 +78,7 @@ def test_the_divergence_agrees_with_its_integral() -> None:
     assert float(value) == pytest.approx(integral, rel=1e-9)
 
 
-# --- depth and normals
+# --- depth
 
 
 def test_depth_loss_agrees_with_numpy() -> None:
@@ -89,27 +93,6 @@ def test_depth_loss_agrees_with_numpy() -> None:
     share = one_image(observed > 0)
     found = float(losses.depth_loss(predicted, observed, mask, share))
     assert found == pytest.approx(np.where(errors < 10, errors, 0).mean(), rel=1e-12)
-
-
-def plane_points(slope: float, step: float = 0.001) -> tuple[Tensor, Tensor, Tensor]:
-    """Three neighbouring points of the plane z = 1 + slope x."""
-    x = torch.tensor([0.0, step, 0.0], dtype=torch.float64)
-    y = torch.tensor([0.0, 0.0, step], dtype=torch.float64)
-    points = torch.stack([x, y, 1 + slope * x], 1)
-    return points[:1], points[1:2], points[2:]
-
-
-def test_the_normal_of_a_slanted_plane_leans_as_it_does() -> None:
-    half = math.sqrt(0.5)
-    leaning = torch.tensor([[half, 0.0, -half]], dtype=torch.float64)
-
-    found = losses.screen_normals(*plane_points(1.0))
-
-    assert torch.allclose(found, leaning)
-    ahead = torch.tensor([[0.0, 0.0, -1.0]], dtype=torch.float64)
-    assert float(
-        losses.normal_loss(found, ahead, one_image(torch.ones(1, dtype=torch.bool)))
-    ) == pytest.approx(2 - 2 * half)
 
 
 # --- smoothness
