@@ -2,6 +2,8 @@
 
 import re
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,45 +48,38 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
     slug = re.sub(r"[^a-z0-9]+", "-", options.name.lower()).strip("-") or "me"
     folder = options.out or _folders().user_data_path / "me" / slug
     file = folder / f"{slug}.pica"
-    left = sum(MINUTES.values())
     seconds: dict[str, float] = {}
 
-    def begin(step: str) -> None:
-        nonlocal left
-        number = len(seconds) + 1
-        console.print(f"[{number}/{len(MINUTES)}] {step}: about {left:.0f} minutes left in all")
-        left -= MINUTES[step]
-        seconds[step] = -time.monotonic()
+    @contextmanager
+    def step(name: str) -> Iterator[None]:
+        number, begun = len(seconds) + 1, time.monotonic()
+        left = sum(list(MINUTES.values())[number - 1 :])
+        console.print(f"[{number}/{len(MINUTES)}] {name}: about {left:.0f} minutes left in all")
+        yield
+        seconds[name] = round(time.monotonic() - begun, 1)
 
-    def end(step: str) -> None:
-        seconds[step] = round(seconds[step] + time.monotonic(), 1)
-
-    begin("fit")
-    head = make_head(options, folder, console)
-    end("fit")
-    begin("capture")
+    with step("fit"):
+        head = make_head(options, folder, console)
     capture, run = folder / "capture", folder / "run"
-    if not (capture / "capture.json").exists():
-        render_me(console, head, STAGE, capture)
-    end("capture")
-    begin("train")
-    if not (run / EVALUATION_FILE).exists():
-        resume = (run / CHECKPOINT).exists()
-        train(
-            TrainOptions(
-                capture=capture, out=run, preset="small", resume=resume, threads=options.threads
+    with step("capture"):
+        if not (capture / "capture.json").exists():
+            render_me(console, head, STAGE, capture)
+    with step("train"):
+        if not (run / EVALUATION_FILE).exists():
+            resume = (run / CHECKPOINT).exists()
+            train(
+                TrainOptions(
+                    capture=capture, out=run, preset="small", resume=resume, threads=options.threads
+                )
             )
-        )
-    end("train")
-    begin("export")
-    if not file.exists():
-        export(
-            ExportOptions(
-                run=run, capture=capture, out=file, name=options.name, licence=LICENCE,
-                threads=options.threads,
-            )
-        )  # fmt: skip
-    end("export")
+    with step("export"):
+        if not file.exists():
+            export(
+                ExportOptions(
+                    run=run, capture=capture, out=file, name=options.name, licence=LICENCE,
+                    threads=options.threads,
+                )
+            )  # fmt: skip
     console.print(f"Begin a call with it:\n\n    pica demo --avatar {file}\n", soft_wrap=True)
     return {"path": str(file), "folder": str(folder), "seconds": seconds}
 
