@@ -300,9 +300,9 @@ def baseline_graph(baseline: BaselineAvatar) -> bytes:
     """
     graph, spec, tensors = GraphBuilder(), baseline.spec, baseline.tensors
 
-    def connect(name: str, value: str, output: str | None = None) -> str:
+    def connect(name: str, value: str) -> str:
         weight, bias = (graph.floats(tensors[f"{name}.{part}"]) for part in ("weight", "bias"))
-        return graph.add("Gemm", value, weight, bias, transB=1, output=output)
+        return graph.add("Gemm", value, weight, bias, transB=1)
 
     def leaky(value: str) -> str:
         return graph.add("LeakyRelu", value, alpha=LEAKY_SLOPE)

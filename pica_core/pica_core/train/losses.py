@@ -68,14 +68,14 @@ def image_loss(predicted: Tensor, observed: Tensor, share: Tensor, chroma: float
     return (squares.mean(-1) * share).sum()
 
 
-def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_LIMIT_M) -> Tensor:
+def depth_mask(predicted_m: Tensor, observed_m: Tensor) -> Tensor:
     """Where depth is known and within the limit: the paper's W_D. bool ``[N, K]``.
 
     Args:
         predicted_m: Depth of the decoded mesh along the camera's axis, metres, ``[N, K]``.
         observed_m: Measured depth, metres, 0 where unknown, ``[N, K]``.
     """
-    return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < limit_m)
+    return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < DEPTH_LIMIT_M)
 
 
 def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Tensor) -> Tensor:
