@@ -180,9 +180,7 @@ def pictures(
         if not is_video or is_empty:
             return
         offset_s = last_s + 1 / 30
-        with suppress(
-            av.FFmpegError
-        ):  # a stream that cannot be rewound gives nothing more
+        with suppress(av.FFmpegError):  # a stream that cannot be rewound gives nothing more
             container.seek(0)
 
 
