@@ -18,11 +18,6 @@ from pica_command.table import install_line, modules_by_extra
 from pica_core.errors import GraphicsError
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DoctorOptions:
-    """Options of `pica doctor`; there are none."""
-
-
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One line of the examination."""
@@ -39,7 +34,7 @@ class Finding:
         return f"{self.level:8} {self.subject}: {self.detail}{fix}"
 
 
-def doctor(options: DoctorOptions) -> dict[str, Any]:
+def doctor() -> dict[str, Any]:
     """Report what this machine can do, and how to fix what it lacks."""
     findings = examine(has_display=has_display())
     for finding in findings:

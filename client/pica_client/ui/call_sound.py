@@ -1,13 +1,12 @@
 """The voices of a call as the window needs them: the user's, those of others, the devices."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from pica_client.call.call import Call
-from pica_client.call.roster import Member
 from pica_client.stats import summarise_ms
 from pica_client.ui.state import Sent, ViewState
 from pica_client.voice.publisher import VoicePublisher
@@ -34,7 +33,6 @@ class CallSound:
     ) -> None:
         self._own, self._sound = own, sound
         self._set: SoundSettings | None = None
-        self._volumes: Mapping[str, float] = {}
         self._talked_s = -TAIL_S
         self._trouble = ""
 
@@ -52,7 +50,7 @@ class CallSound:
         voices = {} if self._sound is None else self._sound.state.voices
         return {peer_id: voice.level for peer_id, voice in voices.items()}
 
-    def follow(self, wanted: ViewState, people: Iterable[Member], now: float) -> str:
+    def follow(self, wanted: ViewState, now: float) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
             if wanted.is_heard:
@@ -64,14 +62,6 @@ class CallSound:
         if wanted.sound != self._set:
             self._set = wanted.sound
             self._sound.follow(wanted.sound)
-        volumes = {
-            person.peer_id: wanted.volumes[person.place]
-            for person in people
-            if person.place in wanted.volumes
-        }
-        if volumes != self._volumes:
-            self._volumes = volumes
-            self._sound.set_volumes(volumes)
         before, self._trouble = self._trouble, self._sound.state.trouble
         return self._trouble if self._trouble != before else ""
 

@@ -16,7 +16,6 @@ NO_VOICE, MICROPHONE = "none", "mic"
 """Voices, as `voice.source.open_voice` names them."""
 SOFTEST_DB, LOUD_DB = 60, 4
 """Where a meter begins, and what is too loud: decibels below full scale."""
-MAX_PERCENT = 200
 SYSTEMS_OWN = "The system's"
 SOURCES: tuple[tuple[str, str], ...] = (
     *((f"performance:{name}", f"Play: {name}") for name in PERFORMANCES),
@@ -56,7 +55,7 @@ def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool =
 
 
 def _sound(state: ViewState, sound: SoundState) -> None:
-    """Devices with their meters, volume and switches."""
+    """Devices with their meters, and switches."""
     settings = state.sound
     if state.own_voice != "none" and state.voice == MICROPHONE:
         note("Microphone")
@@ -73,18 +72,8 @@ def _sound(state: ViewState, sound: SoundState) -> None:
         settings = replace(settings, push_to_talk=is_held)
     note("Loudspeaker")
     devices = _devices(sound.speakers, settings.speaker)
-    settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
+    state.sound = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
     _meter(sound.speaker_level, sound.speaker)
-    state.sound = replace(settings, volume=volume_slider("##volume", settings.volume))
-
-
-def volume_slider(label: str, volume: float, *, width: float = -1.0) -> float:
-    """Choose how loud a sound is, 0 to twice as loud as it comes."""
-    percent = round(100 * volume)
-    note(f"Volume {percent} %")
-    imgui.set_next_item_width(width)
-    has_changed, percent = imgui.slider_int(label, percent, 0, MAX_PERCENT, "")
-    return min(max(percent, 0), MAX_PERCENT) / 100 if has_changed else volume
 
 
 def _devices(names: Sequence[str], chosen: str, prefix: str = "") -> list[tuple[str, str]]:

@@ -77,8 +77,6 @@ class ViewState(Preferences):
     """From where the people are seen."""
     pinned: int | None = None
     """The place of the person who fills the picture, also while that one is away."""
-    volumes: dict[int, float] = field(default_factory=dict)
-    """How loud people are here, by place; others are as loud as sent."""
     barred: dict[str, str] = field(default_factory=dict)
     """Names of those whom this admin has barred, by identity."""
     side: Side = "none"
@@ -99,7 +97,7 @@ class ViewState(Preferences):
     def enter(self) -> None:
         """Begin a stay in a room; forget what held for the people and the panels of another."""
         self.orbit, self.pinned, self.side = Orbit(), None, "none"
-        self.volumes, self.barred = {}, {}
+        self.barred = {}
         self.wants_close = self.asks_to_leave = False
         self.is_talking = self.is_recording = False
 

@@ -213,14 +213,10 @@ def clicking(
     return list(state.requests)
 
 
-def test_the_menu_of_a_person_pins_and_makes_them_softer(hand: Hand) -> None:
-    state = replace(LISTED, volumes={})
+def test_the_menu_of_a_person_pins(hand: Hand) -> None:
+    state = replace(LISTED)
     clicking(hand, side_panel, state, CALL, "More on Ada", "Pin")
     assert state.pinned == 3
-    state.volumes[3] = 0.0
-    clicking(hand, side_panel, state, CALL, "More on Ada", "##volume")
-    hand.press(imgui.Key.escape, lambda: side_panel(state, CALL))
-    assert state.volumes == {3: pytest.approx(1.0, abs=0.05)}
     clicking(hand, side_panel, state, CALL, "More on Ben")
     assert not any("Pin" in label or "More on Me" in label for label in hand.places)
 
@@ -238,24 +234,21 @@ def test_all_participants_are_listed_with_what_is_said_of_them(hand: Hand) -> No
 
 
 @pytest.mark.parametrize(
-    ("person", "volume", "is_encrypted", "signs"),
+    ("person", "is_encrypted", "signs"),
     [
-        (BEN, 1, False, ["CIRCLE", "EYE"]),
+        (BEN, False, ["CIRCLE", "EYE"]),
         (
             ada(metadata=(("face", "muted"),), is_name_assured=True),
-            1,
             True,
             ["EYE_SLASH", "TRIANGLE_EXCLAMATION", "CHECK"],
         ),
-        (replace(ADA, is_verified=True), 0.5, True, ["VOLUME_HIGH", "LOCK"]),
-        (ada(metadata=(("voice", "muted"),)), 0, False, ["MICROPHONE_SLASH", "VOLUME_XMARK"]),
-        (ME, 1, True, []),
+        (replace(ADA, is_verified=True), True, ["LOCK"]),
+        (ada(metadata=(("voice", "muted"),)), False, ["MICROPHONE_SLASH"]),
+        (ME, True, []),
     ],
 )
-def test_signs_beside_a_name(
-    person: Member, volume: float, is_encrypted: bool, signs: list[str]
-) -> None:
-    found = signs_of(person, is_encrypted=is_encrypted, volume=volume)
+def test_signs_beside_a_name(person: Member, is_encrypted: bool, signs: list[str]) -> None:
+    found = signs_of(person, is_encrypted=is_encrypted)
     assert [icon for icon, _, _ in found] == [getattr(icons, f"ICON_FA_{sign}") for sign in signs]
 
 
