@@ -61,7 +61,7 @@ class ScreenlessWindow:
 def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[Event]], None]:
     def prepare(happened: list[Event]) -> None:
         monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
-        monkeypatch.setattr("pica_client.ui.lobby.Window", ScreenlessWindow)
+        monkeypatch.setattr("pica_client.ui.session.Window", ScreenlessWindow)
 
     return prepare
 
@@ -137,9 +137,9 @@ def test_a_stay_begins_without_what_held_for_the_people_of_another(
 ) -> None:
     state = state_at(relay_url)
     state.barred = {"eve": "Eve"}
-    state.side, state.is_talking = "settings", True
+    state.side = "settings"
     assert view_calls(HEADLESS, state, library)["frames_rendered"] > 0
-    assert (state.barred, state.side, state.is_talking) == ({}, "none", False)
+    assert (state.barred, state.side) == ({}, "none")
 
 
 def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(

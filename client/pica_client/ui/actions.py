@@ -25,8 +25,6 @@ from pica_protocol.messages import Moderation
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
-TALK_KEY = imgui.Key.space
-"""Held to be heard, where the settings say so."""
 
 
 class Action(Enum):
@@ -195,7 +193,6 @@ def help_lines(state: ViewState) -> tuple[tuple[str, str], ...]:
         ("drag", "look around"),
         ("wheel", "come closer, go back"),
         ("click", "pin a participant, or not"),
-        (imgui.get_key_name(TALK_KEY), "hold to talk, if set so"),
         *keys,
     )
 
@@ -204,7 +201,6 @@ def keyboard(state: ViewState) -> None:
     """Read the keys of this frame, unless a text is being typed."""
     io = imgui.get_io()
     is_typed = io.want_text_input
-    state.is_talking = imgui.is_key_down(TALK_KEY) and not is_typed
     if io.key_ctrl or io.key_super:
         return  # the desktop's own
     if state.asks_to_leave and not is_typed and imgui.is_key_pressed(_KEY.enter, repeat=False):

@@ -15,10 +15,6 @@ from pica_client.voice.sound.settings import SoundSettings, SoundState
 from pica_client.voice.sound.soundtrack import Soundtrack
 from pica_core.types import FloatArray
 
-TAIL_S = 0.2
-"""How long the user is heard after letting go of the key to talk: a key goes up with the last word
-(chosen)."""
-
 
 class CallSound:
     """What the drawing side knows of voices.
@@ -33,7 +29,6 @@ class CallSound:
     ) -> None:
         self._own, self._sound = own, sound
         self._set: SoundSettings | None = None
-        self._talked_s = -TAIL_S
         self._trouble = ""
 
     @property
@@ -50,13 +45,10 @@ class CallSound:
         voices = {} if self._sound is None else self._sound.state.voices
         return {peer_id: voice.level for peer_id, voice in voices.items()}
 
-    def follow(self, wanted: ViewState, now: float) -> str:
+    def follow(self, wanted: ViewState) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
-            if wanted.is_heard:
-                self._talked_s = now
-            ends_softly = wanted.own_voice == "sent" and now - self._talked_s < TAIL_S
-            self._own.is_muted = not (wanted.is_heard or ends_softly)
+            self._own.is_muted = wanted.own_voice != "sent"
         if self._sound is None:
             return ""
         if wanted.sound != self._set:

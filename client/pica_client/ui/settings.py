@@ -6,7 +6,6 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from pica_client.sources.source import PERFORMANCES
-from pica_client.ui.actions import TALK_KEY
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
 from pica_client.ui.widgets import TONES, Tone, choice_of, note, px
@@ -67,9 +66,6 @@ def _sound(state: ViewState, sound: SoundState) -> None:
         else:
             _, cleans = imgui.checkbox("Take out echo and noise", settings.cleans)
             settings = replace(settings, cleans=cleans)
-        label = f"Hold {imgui.get_key_name(TALK_KEY)} to talk"
-        _, is_held = imgui.checkbox(label, settings.push_to_talk)
-        settings = replace(settings, push_to_talk=is_held)
     note("Loudspeaker")
     devices = _devices(sound.speakers, settings.speaker)
     state.sound = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))

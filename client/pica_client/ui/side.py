@@ -151,9 +151,11 @@ def _row(person: Member, state: ViewState, call: CallView) -> None:
     imgui.table_next_column()
     lower = imgui.get_cursor_pos_y() + px(3)  # in the middle of the button's height
     imgui.set_cursor_pos_y(lower + px(3))
-    speaks = any(each.peer_id == person.peer_id and each.is_speaking for each in call.people)
+    speaking = {each.member.peer_id for each in call.people if each.is_speaking}
     with widgets.type_size(10):
-        imgui.text_colored(TONES["good"], icons.ICON_FA_CIRCLE if speaks else "")
+        imgui.text_colored(
+            TONES["good"], icons.ICON_FA_CIRCLE if person.peer_id in speaking else ""
+        )
     imgui.table_next_column()
     imgui.set_cursor_pos_y(lower)
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, px(2)))

@@ -83,23 +83,16 @@ class ViewState(Preferences):
     asks_to_leave: bool = False
     own_face: Sent = "none"
     own_voice: Sent = "none"
-    is_talking: bool = False
-    """Whether the key to talk is held."""
     is_recording: bool = False
     requests: list[Any] = field(default_factory=list)
     """What keys and panels ask for and was not done yet: `actions.Request`."""
-
-    @property
-    def is_heard(self) -> bool:
-        """Return True if the own voice is to be sent now."""
-        return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
 
     def enter(self) -> None:
         """Begin a stay in a room; forget what held for the people and the panels of another."""
         self.orbit, self.pinned, self.side = Orbit(), None, "none"
         self.barred = {}
         self.wants_close = self.asks_to_leave = False
-        self.is_talking = self.is_recording = False
+        self.is_recording = False
 
     def pin(self, place: int | None) -> None:
         """Pin a participant, or let go of the one who is pinned."""

@@ -211,7 +211,7 @@ class Viewer(Closing):
         self.surface.end()
         tasks += settle(state)
         self._follow_face()
-        if trouble := self._sound.follow(state, now):
+        if trouble := self._sound.follow(state):
             panels.notice(trouble, now)
         self._pool.wait_idle(DECODE_WAIT_S)
         self._presenter.collect(now)

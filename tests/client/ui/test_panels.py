@@ -54,7 +54,7 @@ STATUS = CallStatus(
 STATE = ViewState(own_face="sent")
 LISTED = replace(STATE, side="participants")
 SETTINGS = replace(STATE, side="settings")
-CALL = CallView(people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),), status=STATUS)
+CALL = CallView(people=(PersonView(member=ADA, is_speaking=True),), status=STATUS)
 AS_ADMIN = replace(CALL, status=replace(STATUS, is_admin=True))
 ALONE = CallView(status=replace(STATUS, participants=(ME,)))
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 2.0)]
@@ -150,7 +150,7 @@ def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
 
 
 def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
-    person = replace(CALL.people[0], name="W" * 64, is_speaking=True, remark="x y " * 90)
+    person = replace(CALL.people[0], member=ada(name="W" * 64), remark="x y " * 90)
     for room in ((100.0, 50.0, 160.0, 70.0), (100.0, 50.0, 300.0, 70.0)):
         call = replace(CALL, people=(replace(person, label=room),))
         for _ in range(3):
@@ -305,9 +305,9 @@ def test_devices_are_changed_during_a_call(hand: Hand) -> None:
     call = CallView(sound=sound)
     clicking(hand, side_panel, state, call, "Sound")
     assert "no loudspeaker 'Old'" in texts(hand, side_panel, call, state)
-    labels = ("##microphone", "Desk", "##speaker", "Horn", "Hold Space")
+    labels = ("##microphone", "Desk", "##speaker", "Horn")
     clicking(hand, side_panel, state, call, *labels)
-    chosen = SoundSettings(microphone="Desk", speaker="Horn", push_to_talk=True)
+    chosen = SoundSettings(microphone="Desk", speaker="Horn")
     assert state.sound == chosen
     assert state.voice == "mic"
     listening = replace(state, own_voice="none")

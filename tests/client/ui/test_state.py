@@ -15,7 +15,7 @@ from pica_client.voice.sound.settings import SoundSettings
 pytestmark = pytest.mark.unit
 
 KEPT = ViewState(
-    sound=SoundSettings(speaker="Horn", push_to_talk=True),
+    sound=SoundSettings(speaker="Horn", cleans=False),
     voice="mic",
     layout="table",
     window_size=(1280, 720),

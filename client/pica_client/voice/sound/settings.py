@@ -23,8 +23,6 @@ class SoundSettings:
     cleans: bool = True
     """Whether echo and noise are taken out of the microphone, and its loudness is evened out, where
     the extra ``echo`` is installed."""
-    push_to_talk: bool = False
-    """Whether the own voice is sent only while a key is held."""
 
 
 @dataclass(frozen=True, slots=True)
