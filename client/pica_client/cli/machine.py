@@ -36,7 +36,7 @@ class Finding:
 
 def doctor() -> dict[str, Any]:
     """Report what this machine can do, and how to fix what it lacks."""
-    findings = examine(has_display=has_display())
+    findings = examine()
     for finding in findings:
         say(finding.line)
     return {"findings": [asdict(finding) for finding in findings]}
@@ -49,18 +49,14 @@ def load_module(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def examine(load: Callable[[str], Any] = load_module, *, has_display: bool) -> list[Finding]:
-    """Look at every extra and every device.
-
-    Args:
-        has_display: A window can be expected to open.
-    """
+def examine(load: Callable[[str], Any] = load_module) -> list[Finding]:
+    """Look at every extra and every device."""
     extras = {name: found for name, found in modules_by_extra().items() if found and name != "all"}
     return [
         *(_extra(name, modules, load) for name, modules in extras.items()),
         _graphics(load),
         _training_device(load),
-        _display(has_display),
+        _display(),
     ]
 
 
@@ -114,8 +110,8 @@ def _training_device(load: Callable[[str], Any]) -> Finding:
     return Finding("CUDA", "missing", f"{about} finds none and trains on the CPU")
 
 
-def _display(is_there: bool) -> Finding:
-    if is_there:
+def _display() -> Finding:
+    if has_display():
         return Finding("display", "ready", "the environment names one; it was not tried")
     fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
     return Finding("display", "missing", "none", fix)

@@ -38,7 +38,6 @@ class Action(Enum):
     PARTICIPANTS = auto()
     SETTINGS = auto()
     HELP = auto()
-    FULL_SCREEN = auto()
     CLOSE = auto()
     """Close what is open, or ask whether to leave."""
     COPY_INVITATION = auto()
@@ -148,7 +147,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         off=(icons.ICON_FA_CIRCLE, "Record", "plain"),
         on=(icons.ICON_FA_SQUARE, "Stop recording", "alert"),
     ),
-    Action.FULL_SCREEN: Row(keys=(_KEY.f11,), title="full screen"),
     Action.SETTINGS: _panel("settings", icons.ICON_FA_GEAR, _KEY.o),
     Action.HELP: _panel("help", icons.ICON_FA_CIRCLE_QUESTION, _KEY.h, _KEY.f1),
     Action.CLOSE: Row(

@@ -379,8 +379,6 @@ class Viewer(Closing):
                 except (ClientError, ModuleNotFoundError) as error:  # a full disk ends no call
                     notice = str(error)
                 self._panels.notice(notice, now)
-            case Action.FULL_SCREEN if self._window is not None:
-                self._window.toggle_full_screen()
             case Action.COPY_INVITATION:
                 imgui.set_clipboard_text(self._panels.status.invitation)
                 self._panels.notice("Invitation copied", now)
