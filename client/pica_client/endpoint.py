@@ -197,11 +197,6 @@ class Receiver(Endpoint):
         value = RECORDS_YES if is_recording else ""
         self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
 
-    @property
-    def is_connected(self) -> bool:
-        """Whether the relay has us in the room right now."""
-        return self.link.is_joined
-
     def stats(self, now: float) -> dict[str, Any]:
         """`Call.stats`, and the link's side of it."""
         stats = self.call.stats(now)

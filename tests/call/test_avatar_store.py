@@ -65,7 +65,7 @@ async def test_a_strangers_face_is_seen_by_who_does_not_have_its_file(
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(receiver.run())
-                await until(lambda: receiver.is_connected)
+                await until(lambda: receiver.link.is_joined)
                 tasks.create_task(sender.run())
                 await until(lambda: face() is not None)
                 shown, avatar = face(), call.avatar(identity)

@@ -39,6 +39,8 @@ SHIFTED_AT_REST: Final = 0.15
 NAMED_SHAPES: Final = 6
 """Names in a hint before it says how many more."""
 POLL_S = 0.1
+FIRST_FACE_S: Final = 30.0
+"""How long a calibration waits for the first face."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,8 +71,6 @@ class CalibrateOptions:
     sound_offset: float = 0.0
     """How much later the tracker sees your mouth than the microphone hears it, seconds: raise it
     where the others see your lips move after your voice."""
-    wait: float = 30.0
-    """How long to wait for the first face, seconds."""
 
 
 @dataclass(slots=True)
@@ -231,7 +231,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
 
     with closing(_open(options.source, tap)) as source:
         say("look ahead, relaxed, with open eyes")
-        end_s = time.monotonic() + options.wait
+        end_s = time.monotonic() + FIRST_FACE_S
         while not samples:
             if time.monotonic() > end_s:
                 raise SourceError(source.trouble or "the tracker sees no face")

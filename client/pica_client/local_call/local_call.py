@@ -18,7 +18,10 @@ from pica_client.publish import SenderConfig
 from pica_client.sources import open_source, start_later
 from pica_client.voice.opus import available
 
-NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
+NAMES = (
+    *("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal"),
+    *("Ida", "Jon", "Kim", "Leo", "Mia", "Ned", "Oda"),
+)
 ROOM = "demo"
 JOIN_TIMEOUT_S = 30.0
 """Longest wait until all peers are seen; five Pythons that import numpy on two busy cores take some
@@ -55,8 +58,8 @@ class LocalCallConfig:
     """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.peers <= 15:
-            raise OptionError(f"peers is {self.peers}; 1 to 15 fit the room")
+        if not 1 <= self.peers <= len(NAMES):
+            raise OptionError(f"peers is {self.peers}; 1 to {len(NAMES)} fit the room")
         SenderConfig(fps=self.fps)  # checks it
 
 
@@ -85,10 +88,7 @@ class LocalCall:
         for source in dict.fromkeys(sources):
             open_source(source)  # one clear error here instead of one per sender
         avatars = choose_avatars(config.avatar, library)
-        names = [
-            NAMES[index] if index < len(NAMES) else f"Peer {index + 1}"
-            for index in range(config.peers)
-        ]
+        names = NAMES[: config.peers]
         self.worn = {
             name: library.find(avatars[index % len(avatars)]) for index, name in enumerate(names)
         }

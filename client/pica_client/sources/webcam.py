@@ -218,12 +218,10 @@ class FaceFinder:
     """Follows one face: the largest that it finds, until it is lost.
 
     Attributes:
-        num_detections: How often it had to look for a face.
         landmarks: Of the last picture, pixels, float32 ``[478, 3]``; None if there is no face.
     """
 
     def __init__(self, networks: FaceNetworks) -> None:
-        self.num_detections = 0
         self.landmarks: FloatArray | None = None
         self._networks = networks
 
@@ -231,10 +229,10 @@ class FaceFinder:
         """Take the next picture, RGB and not mirrored, and when it was taken by its camera."""
         # Where the face was a moment ago, or, if it is not there any more, anywhere.
         former = None if self.landmarks is None else region_of(self.landmarks)
-        if former is None or not self._follow(picture, former):
-            self.num_detections += 1
-            if not any(self._follow(picture, each) for each in self._networks.detect(picture)):
-                return TrackerSample(tracker_s=time_s, has_face=False)
+        if (former is None or not self._follow(picture, former)) and not any(
+            self._follow(picture, each) for each in self._networks.detect(picture)
+        ):
+            return TrackerSample(tracker_s=time_s, has_face=False)
         assert self.landmarks is not None
         rotation, place_m = head_pose(self.landmarks, *picture.size)
         return TrackerSample(

@@ -222,7 +222,7 @@ def stay(
                     f"{call.num_live} of {options.expect} expected peers were seen within "
                     f"{EXPECT_TIMEOUT_S:g} s"
                 )
-            is_here = receiver.is_connected and call.num_live >= options.expect
+            is_here = receiver.link.is_joined and call.num_live >= options.expect
             return is_stopped() or is_here
 
         deadline_s = time.monotonic() + EXPECT_TIMEOUT_S

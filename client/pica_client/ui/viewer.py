@@ -73,7 +73,7 @@ class Viewer(Closing):
             maps; otherwise it means nothing).
 
     Attributes:
-        outputs: What could not be written.
+        failures: What could not be written.
 
     Raises:
         GraphicsError: There is no GL context; names the fix.

@@ -70,7 +70,6 @@ def test_a_real_smile_is_seen_as_by_mediapipe(
             "eyeSquintRight": 0.264,
         }.items():
             assert value(sample, name) == pytest.approx(said, abs=0.1), name
-    assert finder.num_detections == 1  # the second time it knew where to look
     assert sample.place_m is not None
     assert -3 < sample.place_m[2] < -0.3
 
