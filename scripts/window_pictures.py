@@ -211,13 +211,13 @@ def show_window(notes: Path, arguments: list[str]) -> None:
 
     from helpers.hand import note_places
     from pica_client.ui import call_surface
+    from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
     from pica_command.main import main as pica
 
     state: dict[str, Any] = {"frame": 0}
 
     def note_call(view: ViewState, call: CallView) -> None:
         state.update(
-            faces=sum(not each.remark for each in call.people),
             here=len(call.status.participants),
             side=view.side,
             is_recording=view.is_recording,
@@ -225,7 +225,13 @@ def show_window(notes: Path, arguments: list[str]) -> None:
             away_s=call.status.away_s,
         )
 
+    def note_faces(presenter: AvatarPresenter, scene: CallScene) -> CallScene:
+        state["faces"] = sum(map(bool, presenter.num_decoded().values()))
+        return dressed(presenter, scene)
+
     call_surface.PANELS = (*call_surface.PANELS, note_call)
+    dressed = AvatarPresenter.dressed
+    AvatarPresenter.dressed = note_faces  # type: ignore[method-assign]
     render = imgui.render
 
     places = note_places(pytest.MonkeyPatch())

@@ -174,15 +174,3 @@ def test_an_invite_link_leads_where_it_says() -> None:
     assert (state.url, state.room, state.token) == ("wss://host", "there", "abc")
     with pytest.raises(OptionError, match="link: "):
         first_state(ViewOptions(link="https://host"), None)
-
-
-def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
-    library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    link = relay_url.replace("ws://", "http://") + "/fun"
-    options = replace(
-        HEADLESS, link=link, join=JoinOptions(token_file=tmp_path / "not there", wait=True)
-    )
-    view_calls(options, first_state(options, None), library)
-    line = f"token-file is not sent to {relay_url}; --url {relay_url} would send it"
-    assert capsys.readouterr().err.count(line) == 1

@@ -237,9 +237,16 @@ def choice_of(label: str, titles: Iterable[tuple[Value, str]], chosen: Value) ->
 
 
 def hint(text: str) -> None:
-    """Say something of the last widget while the pointer rests on it."""
-    with type_size(SMALL_PT):
-        imgui.set_item_tooltip(text)
+    """Say something of the last widget, above or below it, while the pointer rests on it."""
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    size, middle, gap = imgui.get_io().display_size, (low.x + high.x) / 2, (high.y - low.y) / 4
+    is_below = low.y < size.y / 2
+    if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
+        place = (middle, high.y + gap if is_below else low.y - gap)
+        pivot = (middle / size.x, 0.0 if is_below else 1.0)
+        imgui.set_next_window_pos(place, imgui.Cond_.always, pivot)
+        with type_size(SMALL_PT):
+            imgui.set_tooltip(text)
 
 
 def text_size(text: str, points: float) -> Place:

@@ -68,11 +68,6 @@ def test_on_the_base_install_every_command_names_the_extra_that_it_needs() -> No
         assert line.endswith(f"; install it with: {install_line(extra)}")
 
 
-def test_every_module_of_an_extra_is_called_as_we_think() -> None:
-    for module in {module for modules in modules_by_extra().values() for module in modules}:
-        assert importlib.util.find_spec(module) is not None, module
-
-
 class BrokenGraphics:
     @staticmethod
     def create_context() -> None:

@@ -52,13 +52,6 @@ def test_a_steady_movement_stays_steady_however_its_samples_arrive() -> None:
     assert 0 < face.delay_s <= MAX_DELAY_S
 
 
-def test_samples_out_of_order_are_dropped() -> None:
-    face = LiveFace()
-    feed(face, 0, 30, jawOpen=0.3)
-    face.push(TrackerSample(tracker_s=1000.1, arkit=values(jawOpen=1.0)), 0.6)
-    assert face.face_at(0.6).arkit[JAW] < 0.4
-
-
 def test_a_lost_face_holds_eases_to_rest_and_is_gone() -> None:
     face = LiveFace()
     feed(face, 0, 60, jawOpen=0.5)

@@ -72,16 +72,6 @@ def test_expressions_of_a_plain_vrm_model_move_the_face_beside_shapes_by_their_o
     assert math.isnan(seen["browInnerUp"])
 
 
-def test_vmc_takes_whole_numbers() -> None:
-    decoder = VmcDecoder()
-    decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Val", "jawOpen", 1))
-    bone = ("/VMC/Ext/Bone/Pos", "Head", 0, 0, 0, 0, 1, 0, 0)
-    decoder.decode(tracker_packets.osc(*bone))
-    (sample,) = decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Apply"))
-    assert sample.arkit[ARKIT_INDEX["jawOpen"]] == 1.0
-    assert np.linalg.norm(sample.rotation) == pytest.approx(math.pi, rel=1e-3)
-
-
 def test_vmc_keeps_no_names_that_no_face_has() -> None:
     decoder = VmcDecoder()
     tracemalloc.start()
