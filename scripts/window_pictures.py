@@ -231,7 +231,7 @@ def show_window(notes: Path, arguments: list[str]) -> None:
 
     call_surface.PANELS = (*call_surface.PANELS, note_call)
     dressed = AvatarPresenter.dressed
-    AvatarPresenter.dressed = note_faces  # type: ignore[method-assign]
+    AvatarPresenter.dressed = note_faces  # type: ignore[method-assign, assignment]
     render = imgui.render
 
     places = note_places(pytest.MonkeyPatch())

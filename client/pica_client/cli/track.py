@@ -34,8 +34,6 @@ LOW_FPS: Final = 20.0
 LONG_GAP_MS: Final = 150.0
 CONSTANT: Final = 1e-4
 """A head that turns by less than this in all the time never turns."""
-SHIFTED_AT_REST: Final = 0.15
-"""Fifth percentile of a shape above this: the face at rest is not at rest."""
 NAMED_SHAPES: Final = 6
 """Names in a hint before it says how many more."""
 POLL_S = 0.1
@@ -164,9 +162,6 @@ def _hints(report: dict[str, Any], kind: str, trouble: str) -> list[str]:
         and all(each["max"] - each["min"] < CONSTANT for each in head.values())
     ):
         hints.append('the head never turns: switch on "Stream Head Rotation", or the like')
-    shifted = [name for name, each in shapes.items() if each["p05"] > SHIFTED_AT_REST]
-    if any(not name.startswith(("eyeBlink", "eyeLook")) for name in shifted):
-        hints.append(f"never at rest: {_named(shifted)}; `pica calibrate` takes that away")
     return hints
 
 

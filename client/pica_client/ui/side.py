@@ -77,7 +77,7 @@ def _help(state: ViewState) -> None:
 
 
 def waiting_page(state: ViewState, call: CallView) -> None:
-    """Where the user is, who watches, and an invitation, until the first face comes."""
+    """Where the user is, and an invitation, until the first face comes."""
     status = call.status
     if call.people or not status.room or not status.is_connected or state.asks_to_leave:
         return
@@ -87,11 +87,7 @@ def waiting_page(state: ViewState, call: CallView) -> None:
     place = (columns / 2, 0.42 * rows)
     with widgets.card("waiting", place, pivot=(0.5, 0.5), scrolls=True):
         widgets.title("Waiting for others")
-        watching = len(status.participants) - 1
         widgets.note(f"You are in the room {status.room}.")
-        if watching > 0:
-            who = "One person watches" if watching == 1 else f"{watching} people watch"
-            widgets.note(f"{who} without showing a face.")
         _invitation(state, status.invitation, "accent")
 
 

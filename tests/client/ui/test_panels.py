@@ -262,9 +262,6 @@ def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, call: CallView) 
 def test_the_waiting_page_says_where_and_who_only_watches(hand: Hand) -> None:
     said = texts(hand, waiting_page, ALONE)
     assert "You are in the room standup." in said
-    assert "watch" not in said
-    watched = replace(ALONE, status=replace(STATUS, participants=(ME, BEN)))
-    assert "One person watches without showing a face." in texts(hand, waiting_page, watched)
     assert texts(hand, waiting_page, CALL) == ""
     lost = replace(ALONE, status=replace(STATUS, is_connected=False))
     assert texts(hand, waiting_page, lost) == ""
