@@ -3,8 +3,8 @@
     vertices = mean + identity modes [100]      places on it = three vertices each
 
 Where the 478 landmarks of the face networks lie on the model is stored beside this file. It was
-measured once (``scripts/make_landmarks.py`` of commit 12756eb0) on people of the model, drawn from
-several sides: a medoid and its spread. Landmarks of the face's outline have a large spread, since
+measured (``scripts/make_landmarks.py``) on people of the model, drawn from several sides: a medoid
+and its spread. Landmarks of the face's outline have a large spread, since
 the networks put them where the outline of the *picture* is; those at eyes, nose and lips have half
 a millimetre.
 

@@ -4,9 +4,8 @@
 What is wrong with a file is a `CaptureError` that names it.
 
 The face model that ships (``face_model.npz``) has a mean head, its 52 shapes, and 100 identity
-modes. It is ICT-FaceKit Light, reduced and quantised by ``scripts/make_face_model.py`` of commit
-026e264f: integers in the steps below, each but the first as its difference to the one before, split
-into planes of bytes.
+modes. It is ICT-FaceKit Light, reduced and quantised by ``scripts/make_face_model.py``: integers in
+the steps below, each but the first as its difference to the one before, split into planes of bytes.
 The parts of its faces, its charts and seams, eyeballs, ears and neck are stored with it; the
 islands of its charts are stretched so that each triangle has the room that it needs.
 

@@ -1,0 +1,102 @@
+"""Find where on the face model the 478 landmarks lie: `pica_core/capture/me/landmarks.npz`.
+
+    python scripts/make_landmarks.py            # two minutes of a core; needs `pica webcam setup`
+
+People of the face model, with eyes open and lips closed, are drawn from several sides. The networks
+find their landmarks in each picture, and the depth of the picture gives the place on the model's
+surface. The medoid over all pictures is kept, with the spread around it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+from scipy.spatial import KDTree
+
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.camera import aimed_camera
+from pica_core.capture.dataset.multiface import MATERIALS
+from pica_core.capture.me.face import LANDMARKS, TABLE
+from pica_core.capture.person.choices import draw_person, read_model
+from pica_core.capture.person.subject import PersonSubject
+from pica_core.face_networks import load_networks
+from pica_core.types import Array, Float64Array, IntArray
+
+VIEWS = [(a, e) for a in (-32, -16, 0, 16, 32) for e in (-14, 0, 14)]
+SIDE = 640
+SURE, CANDIDATES = 0.9, 24
+
+
+def main() -> None:
+    """Measure and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--people", type=int, default=24)
+    parser.add_argument("--networks", type=Path, default=None, help="face_landmarker.task")
+    options = parser.parse_args()
+    networks, mean = load_networks(options.networks), read_model().mean
+    outer = np.isin(mean.part, [MATERIALS.index(name) for name in ("skin", "eye")])
+    found = np.full((options.people, len(VIEWS), LANDMARKS, 3), np.nan)
+    for seed in range(options.people):
+        subject = PersonSubject(
+            draw_person(1000 + seed, hair="short"), bake_size=1024, self_shadow=False
+        )
+        rest = subject.head.mesh.rest_m[: len(mean.rest_m)]
+        surface = trimesh.Trimesh(rest, mean.faces[outer], process=False)
+        subject.pose(np.zeros(NUM_ARKIT))
+        for number, (azimuth, elevation) in enumerate(VIEWS):
+            camera = aimed_camera("", azimuth, elevation, "head", width=SIDE, height=SIDE)
+            view = subject.draw(camera)
+            picture = Image.fromarray(view.image)
+            for region in networks.detect(picture)[:1]:
+                landmarks, sure = networks.landmarks(picture, region)
+                if sure < SURE:
+                    continue
+                column, row = np.clip(landmarks[:, :2], 0, SIDE - 1).astype(int).T
+                depth = view.depth_m[row, column]
+                points = camera.lift(landmarks[:, :2], depth)
+                corners, weights, apart = nearest(surface, points)
+                place = np.einsum("nk,nkc->nc", weights, mean.rest_m[corners])
+                place[(depth == 0) | (apart > 0.003)] = np.nan
+                found[seed, number] = place
+        subject.release()
+        print(seed, "of", options.people, file=sys.stderr)
+    centre, spread = medoid(found.reshape(-1, LANDMARKS, 3))
+    surface = trimesh.Trimesh(mean.rest_m, mean.faces[outer], process=False)
+    corners, weights, _ = nearest(surface, centre)
+    np.savez_compressed(
+        TABLE, vertices=corners.astype(np.int32),
+        weights=weights.astype(np.float32), spread_m=spread.astype(np.float32),
+    )  # fmt: skip
+    for name, some in (("all", slice(None)), ("best half", np.argsort(spread)[:239])):
+        print(f"{name}: median spread {1000 * np.median(spread[some]):.2f} mm", file=sys.stderr)
+
+
+def nearest(surface: trimesh.Trimesh, points: Array) -> tuple[IntArray, Float64Array, Float64Array]:
+    """Where on a surface points ``[N, 3]`` are nearest to, among the triangles whose middles are:
+    three vertices, their weights, and the distance."""
+    _, near = KDTree(surface.triangles_center).query(points, CANDIDATES)
+    triangles = surface.triangles[near.ravel()]
+    on = trimesh.triangles.closest_point(triangles, points.repeat(CANDIDATES, axis=0))
+    weights = trimesh.triangles.points_to_barycentric(triangles, on)
+    apart = np.linalg.norm(on.reshape(*near.shape, 3) - points[:, None], axis=2)
+    best = np.arange(len(points)), apart.argmin(axis=1)
+    return surface.faces[near[best]], weights.reshape(*near.shape, 3)[best], apart[best]
+
+
+def medoid(places: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Geometric median of places ``[N, L, 3]``, and the median distance from it. ``[L, 3]``."""
+    centre = np.nanmedian(places, axis=0)
+    for _ in range(30):
+        away = np.maximum(np.linalg.norm(places - centre, axis=2), 1e-5)
+        weight = np.where(np.isnan(away), 0.0, 1 / away)[..., None]
+        centre = (np.nan_to_num(places) * weight).sum(0) / np.maximum(weight.sum(0), 1e-9)
+    return centre, np.nanmedian(np.linalg.norm(places - centre, axis=2), axis=0)
+
+
+if __name__ == "__main__":
+    main()
