@@ -175,7 +175,7 @@ class Membership:
             return
         if not room.members:  # new, or its last member has just been replaced
             room = Room(join.room, capacity)
-        self._enter(connection, room, room.join(connection, join, admission), admission, now)
+        self._enter(connection, room, room.join(connection, join, admission), now)
 
     def update_metadata(self, member: Connection, update: UpdateMetadata, now: float) -> None:
         """Note what a peer says of itself, and tell the others."""
@@ -259,14 +259,12 @@ class Membership:
         room.forget_receivers()
         connections.tell_others(room, connection, PeerAway(peer_id=connection.peer_id), now)
 
-    def _enter(
-        self, member: Connection, room: Room, joined: Joined, admission: Admission, now: float
-    ) -> None:
+    def _enter(self, member: Connection, room: Room, joined: Joined, now: float) -> None:
         self.rooms[room.name] = room
         if self.placement is not None and len(room.members) == 1:
             self.placement.note_started(room.name)
         for track in member.peer.tracks:
-            muted = room.is_decided(admission.identity, track.kind)
+            muted = room.is_decided(member.peer.identity, track.kind)
             room.streams[track.stream].is_muted = muted
         self._stats.joins += 1
         self._accept(member, room, joined, now)
@@ -274,8 +272,6 @@ class Membership:
         tell_others(room, member, PeerJoined(peer=member.peer), now)
         for number in room.muted_of([member]):
             tell_others(room, member, StreamMuted(stream=number, is_muted=True), now)
-        if admission.may_subscribe:
-            self._connections.catch_up(member, room)
 
     def _place_of(self, join: Join, identity: str | None = None) -> Connection | None:
         """Return whose place a join's secret opens, to this identity if one is given, or None: who
@@ -316,8 +312,6 @@ class Membership:
         back = PeerBack(peer_id=connection.peer_id)
         connections.tell_others(room, connection, back, now)
         self._note_metadata(connection, join.metadata, now)
-        if admission.may_subscribe:
-            connections.catch_up(connection, room)
         return True
 
     def _accept(self, member: Connection, room: Room, joined: Joined, now: float) -> None:
@@ -335,6 +329,8 @@ class Membership:
             self._connections.send(member, PeerAway(peer_id=other.peer_id), now)
         for number in room.muted_of(room.members.values()):
             self._connections.send(member, StreamMuted(stream=number, is_muted=True), now)
+        if member.default_every:
+            self._connections.catch_up(member, room)
 
     def _replace(
         self, room: Room, connection: Connection, join: Join, identity: str, now: float
