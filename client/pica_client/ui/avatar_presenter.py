@@ -88,6 +88,7 @@ class CallScene:
     placements: list[Placement]
     """Where their heads are, in the order of the faces."""
     camera: Camera
+    plan: SeatPlan
     limits: views.OrbitLimits
     """How far the view may turn."""
     room: Room
@@ -249,6 +250,7 @@ class AvatarPresenter:
             faces=faces,
             placements=placements,
             camera=camera,
+            plan=plan,
             limits=limits,
             room=room,
         )
