@@ -1,7 +1,8 @@
 """Encode a performance and count its bits, at several qualities.
 
-You learn how to use the codec alone, without a network: the avatar file holds the profile that
-both ends of its stream share. A face that does not move costs next to nothing.
+You learn how to use the codec alone, without a network: a frame holds what the face does, and the
+receiver makes the latent of it with the avatar file. A face that does not move costs next to
+nothing.
 """
 
 import numpy as np
@@ -15,20 +16,18 @@ FPS, SECONDS = 30, 4
 avatar = load_avatar(shipped_avatar_files()[0])
 source, expressions = open_source("performance:talk"), ExpressionEncoder(avatar)
 frames = [source.frame_at(index / FPS) for index in range(FPS * SECONDS)]
-latents = [expressions.encode(frame.arkit) for frame in frames]
 
-profile = avatar.stream_profile()
 print("quality  kbit/s  rms error of the latent")
 for quality in (0, 3, 7):
-    encoder = LatentEncoder(profile, fps=FPS, quality=quality)
-    decoder = LatentDecoder(profile)
+    encoder = LatentEncoder(fps=FPS, quality=quality)
+    decoder = LatentDecoder(avatar)
     num_bytes, errors = 0, []
-    for index, (frame, latent) in enumerate(zip(frames, latents, strict=True)):
+    for index, frame in enumerate(frames):
         now_us = round(index / FPS * 1e6)
-        coded = encoder.encode(latent, frame.rotation, frame.translation_m, now_us)
+        coded = encoder.encode(frame.arkit, frame.rotation, frame.translation_m, now_us)
         if coded is None:
             continue  # the face stands still, and the receiver knows
         num_bytes += len(coded.payload)
         decoded = decoder.decode(coded.payload)
-        errors.append(np.square(decoded.latent - latent).mean())
+        errors.append(np.square(decoded.latent - expressions.encode(frame.arkit)).mean())
     print(f"{quality:7}  {num_bytes * 8 / SECONDS / 1000:6.2f}  {np.sqrt(np.mean(errors)):.4f}")

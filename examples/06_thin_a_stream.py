@@ -5,28 +5,24 @@ at any moment. A receiver asks for the frames whose sequence number is a multipl
 """
 
 from pica_client.sources import open_source
-from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 
 FPS, SECONDS = 30, 4
 avatar = load_avatar(shipped_avatar_files()[0])
-source, expressions = open_source("performance:talk"), ExpressionEncoder(avatar)
-profile = avatar.stream_profile()
-encoder = LatentEncoder(profile, fps=FPS)
+source = open_source("performance:talk")
+encoder = LatentEncoder(fps=FPS)
 
 stream = []
 for index in range(FPS * SECONDS):
     frame, now_us = source.frame_at(index / FPS), round(index / FPS * 1e6)
-    coded = encoder.encode(
-        expressions.encode(frame.arkit), frame.rotation, frame.translation_m, now_us
-    )
+    coded = encoder.encode(frame.arkit, frame.rotation, frame.translation_m, now_us)
     if coded is not None:
         stream.append(coded)
 
 print("every  frames/s  kbit/s")
 for every in (1, 2, 4):
-    decoder = LatentDecoder(profile)
+    decoder = LatentDecoder(avatar)
     num_sent = num_bytes = sequence = 0
     for coded in stream:
         sequence += 1 + -(sequence + 1) % coded.multiple

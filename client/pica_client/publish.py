@@ -25,7 +25,6 @@ from pica_client.transport.link import Link, sleep_until
 from pica_client.voice.mouth import SpokenFace
 from pica_client.voice.publisher import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
-from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import (
     BEST_QUALITY,
@@ -69,7 +68,7 @@ class Publisher:
         avatar_identity: Hash of the avatar's file.
 
     Attributes:
-        avatar: Whose expression encoder makes the latents.
+        avatar: Whose face it is.
         mode: What becomes of the face from the next frame on, as far as its owner says; any thread
             may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
@@ -83,10 +82,7 @@ class Publisher:
         self._watcher: OnSent | None = None
         self.source = source
         self.seen: ExpressionFrame | None = None
-        self._encoder = ExpressionEncoder(avatar)
-        self._stream = LatentEncoder(
-            avatar.stream_profile(), fps=config.fps, quality=config.quality
-        )
+        self._stream = LatentEncoder(fps=config.fps, quality=config.quality)
         self.track = Track(kind=FACE_TRACK, avatar=avatar_identity)
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
@@ -206,11 +202,10 @@ class Publisher:
         if not frame.has_face:
             self._faceless += 1  # nothing to say: the receivers see the stream fall silent
             return
-        latent = self._encoder.encode(frame.arkit)
         # When a tracker saw it, which is before now.
         age_us = round(time_s * 1e6) - frame.captured_us
         captured_us = max(round(now * 1e6) - min(max(age_us, 0), MAX_AGE_US), 0)
-        coded = self._stream.encode(latent, frame.rotation, frame.translation_m, captured_us)
+        coded = self._stream.encode(frame.arkit, frame.rotation, frame.translation_m, captured_us)
         if coded is None:
             self._last_sent_s = now
             return  # still: the receivers know, and hold the face

@@ -3,8 +3,7 @@
     PicaCoreError
     ├── AvatarFileError     an avatar file that must not be used
     ├── CaptureError        a capture that cannot be read
-    ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
-    ├── ProfileError        tables of a latent stream that must not be used
+    ├── LatentError         a latent payload that cannot be decoded, or a face that cannot be sent
     ├── ShapeError          an array of the wrong shape handed to a public function
     ├── FaceNetworksError   the networks that find faces are not there, or what runs them is not
     ├── GraphicsError       no GL context, or one that is too old
@@ -33,11 +32,7 @@ class CaptureError(PicaCoreError):
 
 
 class LatentError(PicaCoreError, ValueError):
-    """Bytes that are no latent payload, or a latent that has no payload: names field and limit."""
-
-
-class ProfileError(PicaCoreError, ValueError):
-    """The tables of a latent stream are not ones that this version can trust: names the array."""
+    """Bytes that are no latent payload, or a face that has no payload: names field and limit."""
 
 
 class ShapeError(PicaCoreError, ValueError):

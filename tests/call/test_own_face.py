@@ -147,8 +147,8 @@ async def test_ones_own_face_is_what_the_others_see_and_not_what_the_tracker_saw
 
 @in_virtual_time
 async def test_a_poor_connection_is_told_to_its_owner_and_where_the_face_stands_still() -> None:
-    current_network().route("ada", up=Wire(delay_s=0.02, rate_bps=8_000, queue_bytes=300))
-    current_network().route("cho", up=Wire(delay_s=0.02, rate_bps=8_000, queue_bytes=8_000))
+    current_network().route("ada", up=Wire(delay_s=0.02, rate_bps=6_000, queue_bytes=300))
+    current_network().route("cho", up=Wire(delay_s=0.02, rate_bps=6_000, queue_bytes=8_000))
     async with Relay(RelayConfig(port=0)) as relay:
         # Ada leaves frames out, and her others come in time; those of Cho wait in a long queue.
         ada, cho = (Person(relay.url, name, sends=True) for name in ("ada", "cho"))

@@ -21,7 +21,7 @@ from fuzzing.damage import MEDIA, damaged_bytes, damaged_control, damaged_glb
 from golden.wire_samples import GOLDEN
 from helpers import tracker_packets
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig
-from helpers.stream_toy import perform, toy_profile
+from helpers.stream_toy import perform, toy_decoder
 from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.frames import decode_header, derive_key, open_, seal
 from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
@@ -34,8 +34,8 @@ from pica_core.avatar.spec import AvatarSpec
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
-from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import AvatarFileError, CaptureError, LatentError
+from pica_core.types import MAX_LATENT_LENGTH
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import (
@@ -111,8 +111,10 @@ def avatar_file(data: bytes) -> None:
 def bitstream(data: bytes) -> None:
     """Read a frame of a latent stream; its face is bounded, which NaN is not."""
     with suppress(LatentError):
-        latent = LatentDecoder(toy_profile()).decode(data).latent
-        expect(abs(latent).max() <= 256, "a face beyond the limit")
+        latent = toy_decoder().decode(data).latent
+        expect(
+            float(np.linalg.norm(latent)) <= 1.001 * MAX_LATENT_LENGTH, "a face beyond the limit"
+        )
 
 
 def datagram(data: bytes) -> None:

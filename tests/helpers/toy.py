@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import EXIT_SIZES, STILL_NAME, exit_shapes, faces_name
 from pica_core.avatar.linear import REGION
@@ -21,14 +22,12 @@ from pica_core.avatar.spec import (
     spec_tensor_shapes,
 )
 from pica_core.codec.latent_stream import LatentEncoder
-from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import LATENT_SHAPE, NUM_LATENT, FloatArray
 
 PAPER_SPEC = AvatarSpec(block="H2")
 """The paper's sizes; H2 is the block whose parameter count lies nearest to the paper's 5.47 M."""
 
 NUM_BASES, REACH_M = 6, 4e-3
-ENCODER_RANK = 32
 NUM_STILL = 2
 """Regions of a toy's mesh that never move."""
 TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
@@ -78,7 +77,6 @@ def make_toy_avatar(*, seed: int = 7, spec: AvatarSpec = TOY_SPEC, grid: int = 4
     tensors["mesh.vertex_uv"] = np.stack([u, v], axis=-1).reshape(-1, 2)
     tensors["mesh.faces"] = grid_faces(grid, grid)
     tensors |= _encoder(rng)
-    tensors |= _stream(tensors["encoder.2.weight"])
     manifest = Manifest(
         name="Toy",
         identity=f"toy-{seed}",
@@ -94,41 +92,22 @@ def make_toy_avatar(*, seed: int = 7, spec: AvatarSpec = TOY_SPEC, grid: int = 4
 
 
 def _encoder(rng: np.random.Generator) -> dict[str, npt.NDArray[np.generic]]:
-    """An expression encoder whose latents lie in `ENCODER_RANK` directions."""
+    """An expression encoder of random weights."""
     tensors: dict[str, npt.NDArray[np.generic]] = {}
     width = 52
     for index, out in enumerate(ENCODER_CHANNELS):
         weight = rng.standard_normal((out, width)) / np.sqrt(width)
-        weight[:, ENCODER_RANK if index == len(ENCODER_CHANNELS) - 1 else width :] = 0
         tensors[f"encoder.{index}.weight"] = weight.astype(np.float32)
         tensors[f"encoder.{index}.bias"] = np.zeros(out, np.float32)
         width = out
     return tensors
 
 
-def _stream(encoder_weight: FloatArray) -> dict[str, npt.NDArray[np.generic]]:
-    """The profile of a stream that carries whatever the expression encoder says, and the latent
-    whose values are all alike, within 0.02."""
-    used = encoder_weight[:, :ENCODER_RANK].astype(np.float64)
-    spanned = np.concatenate([np.ones((256, 1)), used], axis=1)
-    directions = np.linalg.qr(spanned)[0].T
-    faces = np.random.default_rng(3).standard_normal((120, len(directions))) @ directions
-    metric = RenderMetric(directions, 64.0 * np.eye(len(directions)))
-    return learn_profile(faces, metric, turn_sweeps=0).to_tensors()
-
-
-def toy_payload(avatar: Avatar, value: float = 0.0) -> bytes:
-    """A frame of a face whose latent is `value` all over, at its seat."""
-    encoder = LatentEncoder(avatar.stream_profile())
-    frame = encoder.encode(np.full(LATENT_SHAPE, value), np.zeros(3), np.zeros(3), 0)
+def toy_payload(value: float = 0.0) -> bytes:
+    """A frame of a face all of whose shapes are at `value`, at its seat."""
+    frame = LatentEncoder().encode(np.full(NUM_ARKIT, value), np.zeros(3), np.zeros(3), 0)
     assert frame is not None
     return frame.payload
-
-
-def without_stream(avatar: Avatar) -> Avatar:
-    """The same avatar as it is exported without a stream profile."""
-    tensors = {k: v for k, v in avatar.tensors.items() if not k.startswith("stream.")}
-    return Avatar(avatar.manifest, tensors)
 
 
 def with_bases(avatar: Avatar) -> Avatar:

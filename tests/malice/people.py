@@ -20,7 +20,7 @@ NAMES = ("Ada", "Ben", "Cho", "Dee")
 _TOY = make_toy_avatar()
 AVATARS = tuple(f"{number:064x}" for number in range(1, len(NAMES) + 1))
 _STORE = LoadedAvatars(dict.fromkeys(AVATARS, _TOY))
-FACE = toy_payload(_TOY)
+FACE = toy_payload()
 
 
 class BrokenPromiseError(AssertionError):

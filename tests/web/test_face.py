@@ -42,7 +42,7 @@ def test_shapes_become_the_latent_of_an_avatar(page: Page) -> None:
         for index in range(3)
         for kind in ("weight", "bias")
     }
-    encoder: Handle = page.call("face", "openEncoder", {"floats": {"lookup": layers}})
+    encoder: Handle = page.call("latent_stream", "openEncoder", {"floats": {"lookup": layers}})
     assert np.array(encoder.call(None, arkit)) == pytest.approx(
         ExpressionEncoder(avatar).encode(arkit).ravel(), abs=1e-4
     )

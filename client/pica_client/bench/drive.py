@@ -22,7 +22,6 @@ from pica_client.render.drawing import masked_mse
 from pica_client.sources import Source, open_source
 from pica_client.stats import wire_bytes
 from pica_client.system import say
-from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.capture.stage.subject import Subject
 from pica_core.codec.latent_stream import (
@@ -116,8 +115,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
         for source in config.sources:
             say(f"{name}: {source}: the avatar")
             values = values_of(open_source(source), num_frames)
-            latents = ExpressionEncoder(avatar).encode(values)
-            latents, wire_bps = through_stream(avatar, latents, config.quality)
+            latents, wire_bps = through_stream(avatar, values, config.quality)
             for level in avatar.levels:
                 shown = [
                     compare(latents[moment], level, true)
@@ -239,20 +237,16 @@ def values_of(source: Source, num_frames: int) -> FloatArray:
     return np.stack([source.frame_at(number / FPS).arkit for number in range(num_frames)])
 
 
-def through_stream(avatar: Avatar, latents: FloatArray, quality: int) -> tuple[FloatArray, int]:
-    """What a receiver decodes of latents ``[T, 8, 8, 4]``, and bits a second of their way to it.
-
-    Raises:
-        ProfileError: The avatar has no stream profile.
-    """
-    profile = avatar.stream_profile()
-    encoder = LatentEncoder(profile, fps=FPS, quality=quality)
-    decoder, still = LatentDecoder(profile), np.zeros(3, np.float32)
+def through_stream(avatar: Avatar, values: FloatArray, quality: int) -> tuple[FloatArray, int]:
+    """The latents that a receiver decodes of ARKit values ``[T, 52]``, and bits a second of their
+    way to it."""
+    encoder = LatentEncoder(fps=FPS, quality=quality)
+    decoder, still = LatentDecoder(avatar), np.zeros(3, np.float32)
     shown, num_bytes = [], 0
-    for number, latent in enumerate(latents):
-        coded = encoder.encode(latent, still, still, number * 1_000_000 // FPS)
+    for number, arkit in enumerate(values):
+        coded = encoder.encode(arkit, still, still, number * 1_000_000 // FPS)
         if coded is not None:
             num_bytes += wire_bytes(1 + HEADER_BYTES + len(coded.payload), is_masked=False)
             newest = decoder.decode(coded.payload).latent
         shown.append(newest)  # a face that stands still is not sent
-    return np.stack(shown), round(num_bytes * 8 * FPS / len(latents))
+    return np.stack(shown), round(num_bytes * 8 * FPS / len(values))

@@ -29,7 +29,8 @@ import numpy as np
 from pica_client.bench.impairment import CALM, Impairment, Scenario, Way
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.stats import wire_bytes
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
+from pica_core.avatar.arkit import ExpressionFrame
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import (
@@ -46,7 +47,7 @@ MAX_UNDER_WAY = 4096
 
 VOICE_DEADLINE_S = 0.2
 """Age beyond which the relay drops a voice packet."""
-Face = Callable[[float], LatentSample]
+Face = Callable[[float], ExpressionFrame]
 """The true face at a moment of the sender's clock, seconds."""
 
 FACE_STREAM, VOICE_STREAM = 1, 2
@@ -199,7 +200,7 @@ def deliver(
             path.change(changes.pop(0)[1], now)
         true = face(now)
         captured_us = CLOCK_OFFSET_US + round(now * 1e6)
-        coded = encoder.encode(true.latent, true.rotation, true.translation_m, captured_us)
+        coded = encoder.encode(true.arkit, true.rotation, true.translation_m, captured_us)
         if coded is None:
             continue
         frame = Frame(

@@ -48,7 +48,7 @@ from pica_client.voice.publisher import BITRATE_BPS
 from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 from pica_core.types import FloatArray
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
@@ -118,10 +118,9 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
     """Run all scenarios.
 
     Raises:
-        ProfileError: The avatar has no stream profile.
         GraphicsError: No GL context; names the fix.
     """
-    profile, face = avatar.stream_profile(), _true_face(avatar)
+    face, expressions = make_performance("talk").frame_at, ExpressionEncoder(avatar)
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
     rows = []
     said: dict[int, tuple[FloatArray, list[tuple[float, Frame]]]] = {}
@@ -131,39 +130,28 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
                 sound = _speech(config.seconds * scenario.lasts)
                 said[scenario.lasts] = sound, _packets(sound)
             sound, voice = said[scenario.lasts]
-            encoder = LatentEncoder(profile, fps=FPS)
+            encoder = LatentEncoder(fps=FPS)
             delivery = deliver(face, encoder, scenario, len(sound) / RATE_HZ, voice)
             ear = _Ear(delivery.voices)
-            ticks = play(delivery, LatentDecoder(profile), Playout(), ear.heard_us)
+            ticks = play(delivery, LatentDecoder(avatar), Playout(), ear.heard_us)
             rows.append(
                 {
                     "condition": scenario.name,
                     "pesq": _pesq(sound, ear, delivery),
                     **_timing(ear, ticks, sound, delivery),
-                    **_pictures(ticks, delivery, face, renderer),
+                    **_pictures(ticks, delivery, face, expressions, renderer),
                 }
             )
             say(f"{scenario.name}: {scenario.note}")
     return report(config, rows, avatar=avatar.manifest.name)
 
 
-def _true_face(avatar: Avatar) -> Face:
-    """The face that goes along, as a function of time."""
-    opened, encoder = make_performance("talk"), ExpressionEncoder(avatar)
-
-    def face(time_s: float) -> LatentSample:
-        frame = opened.frame_at(time_s)
-        return LatentSample(
-            latent=encoder.encode(frame.arkit),
-            rotation=frame.rotation,
-            translation_m=frame.translation_m,
-        )
-
-    return face
-
-
 def _pictures(
-    ticks: Sequence[Tick], delivery: Delivery, face: Face, renderer: FaceRenderer
+    ticks: Sequence[Tick],
+    delivery: Delivery,
+    face: Face,
+    expressions: ExpressionEncoder,
+    renderer: FaceRenderer,
 ) -> dict[str, Any]:
     """Error and longest standstill of the face in the troubled third."""
     troubled = [tick for tick in ticks if delivery.is_troubled(tick.now_s)]
@@ -173,7 +161,7 @@ def _pictures(
             true = face(tick.now_s - CALM.delay_s - tick.report.delay_s)
             pose = true.rotation, true.translation_m
             ((shown, _),) = renderer.draw(tick.played.sample.latent, *pose)
-            ((wanted, _),) = renderer.draw(true.latent, *pose)
+            ((wanted, _),) = renderer.draw(expressions.encode(true.arkit), *pose)
             errors.append(drawn_mse(shown, wanted))
     runs = groupby(troubled, key=lambda tick: tick.played and tick.played.captured_us)
     longest = max(sum(1 for _ in run) for _, run in runs)

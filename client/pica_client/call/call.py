@@ -23,7 +23,7 @@ from pica_client.stats import MAX_SAMPLES
 from pica_client.tracks import FACE_TRACK, voice_of
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import EncodedFrame, LatentSample
-from pica_core.errors import AvatarFileError, LatentError, ProfileError
+from pica_core.errors import AvatarFileError, LatentError
 from pica_protocol import messages
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 from pica_protocol.messages import Joined, Peer, Track
@@ -283,7 +283,7 @@ class Call:
             return None  # it could be read as a latent, and would be a heap of triangles
         try:
             sample = seat.receive_frame(frame, now, self._avatars)
-        except (LatentError, ProfileError):
+        except LatentError:
             self.errors += 1
             return None
         if sample is None:

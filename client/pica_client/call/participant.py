@@ -18,7 +18,7 @@ from pica_client.call.roster import Member
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.codec.latent_stream import LatentDecoder, LatentSample
-from pica_core.errors import AvatarFileError, ProfileError
+from pica_core.errors import AvatarFileError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Subscribe, Track
 
@@ -43,7 +43,6 @@ class Participant:
     """One peer with a face, and what has come from it.
 
     Attributes:
-        trouble: Why its payloads cannot be read; empty: they can, or none has come.
         played: The face shown last; None before the first.
         told: The relay sends every so many frames, as far as it was told; 0: none.
     """
@@ -53,7 +52,6 @@ class Participant:
         self.track = track
         self.playout = Playout()
         self._is_held = False  # from when nothing is sent until the first frame after it
-        self.trouble = ""
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
         self.told = self._wanted = 1  # a relay that was told nothing sends everything
@@ -77,8 +75,6 @@ class Participant:
     @property
     def note(self) -> str:
         """What is wrong with the stream, for people."""
-        if self.trouble:
-            return self.trouble
         if self._is_muted_by_admin:
             return "muted by an admin"
         if self.member.is_away:
@@ -137,10 +133,7 @@ class Participant:
 
         Raises:
             LatentError: It cannot be read.
-            ProfileError: The avatar has no stream profile.
         """
-        if self.trouble:
-            raise ProfileError(self.trouble)
         if self._decoder is None and not self._open_decoder(avatars):
             return None
         assert self._decoder is not None
@@ -154,11 +147,7 @@ class Participant:
     def _open_decoder(self, avatars: AvatarStore) -> bool:
         with suppress(AvatarFileError):  # the viewer asks for it too, and shows what is wrong
             if (avatar := avatars.get(self.track.avatar)) is not None:
-                try:
-                    self._decoder = LatentDecoder(avatar.stream_profile())
-                except ProfileError as error:
-                    self.trouble = str(error)
-                    raise
+                self._decoder = LatentDecoder(avatar)
         return self._decoder is not None
 
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:

@@ -18,7 +18,6 @@ Tensors, float32 in memory unless stated:
     mesh.vertex_uv        [V, 2] in [0, 1]
     mesh.faces            [F, 3] int32, counter-clockwise seen from outside
     encoder.{i}.weight .bias  [out, in], [out]: 52 ARKit values to a latent, LeakyReLU between
-    stream.*              tables of the latent bitstream, integers (`codec.profile`); may be absent
     level.*               levels of detail (`levels`); may be absent
     static.parts          which vertices do not change with the face (`levels`); may be absent
 
@@ -58,9 +57,7 @@ from pica_core.avatar.linear import check_linear, latent_movements, linear_shape
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec, spec_tensor_shapes
 from pica_core.avatar.storage import MAX_MAGNITUDE, to_memory, to_storage
-from pica_core.codec.profile import PREFIX as STREAM_PREFIX
-from pica_core.codec.profile import StreamProfile
-from pica_core.errors import AvatarFileError, ProfileError
+from pica_core.errors import AvatarFileError
 from pica_core.files import replacing
 from pica_core.sampling import sample_vertices
 from pica_core.types import MAX_LATENT_LENGTH, Array, FloatArray, IntArray
@@ -77,7 +74,6 @@ MAX_MOVED_COVER_M2 = 600.0
 bound: 50 to 76; chosen: 6,000 took 0.4 s an image)."""
 
 _WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
-_STREAM_TYPES = {"I32", "I16", "U16", "U8"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,17 +157,6 @@ class Avatar:
         if used is None:
             return sample_vertices(position_map, self.tensors["mesh.vertex_uv"])
         return position_map.reshape(-1, 3)[: len(used)]
-
-    def stream_profile(self) -> StreamProfile:
-        """The tables of its latent stream, which every stream of this avatar is coded with;
-        ProfileError if the file holds none."""
-        profile = StreamProfile.from_tensors(self.tensors)
-        if profile is None:
-            raise ProfileError(
-                f"avatar {self.manifest.name} has no stream profile, which a call needs; "
-                "`pica export` learns one"
-            )
-        return profile
 
 
 def avatar_id(source: Path | str | bytes) -> str:
@@ -327,8 +312,8 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
     _check_shapes(spec, shapes)
     for name, entry in header.items():
         allowed = {"I32", "U16"} if is_index(name) else _WEIGHT_TYPES
-        if name.startswith((STREAM_PREFIX, STATIC_NAME)):
-            allowed = {"U8"} if name == STATIC_NAME else _STREAM_TYPES
+        if name == STATIC_NAME:
+            allowed = {"U8"}
         if (stored := str(entry.get("dtype"))) not in allowed:
             raise ValueError(
                 f"tensor {name} is stored as {stored:.20}; allowed are {', '.join(sorted(allowed))}"
@@ -350,21 +335,20 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
         wanted |= level_shapes(shapes, MAX_FACES)
     if spec.geometry == "bases":
         wanted |= linear_shapes(shapes, wanted["mesh.vertex_uv"][0])
-    # Those of the stream are for its profile to judge.
-    own = {name: shape for name, shape in shapes.items() if not name.startswith(STREAM_PREFIX)}
-    if missing := sorted(wanted.keys() - own):
+    if missing := sorted(wanted.keys() - shapes):
         raise ValueError(f"tensor {missing[0]} is missing ({len(missing)} in total)")
-    if unknown := sorted(own.keys() - wanted):
+    if unknown := sorted(shapes.keys() - wanted):
         raise ValueError(f"tensor {unknown[0]!r:.80} is unknown")
     for name, shape in wanted.items():
-        if own[name] != shape:
-            raise ValueError(f"tensor {name} has shape {list(own[name])}; {list(shape)} is needed")
+        if shapes[name] != shape:
+            raise ValueError(
+                f"tensor {name} has shape {list(shapes[name])}; {list(shape)} is needed"
+            )
 
 
 def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     _check_shapes(spec, {name: array.shape for name, array in tensors.items()})
-    StreamProfile.from_tensors(tensors)
-    own = {name: a for name, a in tensors.items() if not name.startswith(STREAM_PREFIX)}
+    own = dict(tensors)
     parts = own.pop(STATIC_NAME, np.zeros(0, np.uint8))
     if parts.dtype != np.uint8:
         raise ValueError(f"tensor {STATIC_NAME} is {parts.dtype}; uint8 is needed")

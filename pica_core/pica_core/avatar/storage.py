@@ -13,7 +13,6 @@ import numpy as np
 from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import STATIC_NAME, is_index
 from pica_core.avatar.linear import SIGNED_STEP, signed_codes
-from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.types import Array
 
 Storage = Literal["f32", "f16", "u8", "u16", "s8"]
@@ -52,7 +51,7 @@ def to_storage(name: str, array: Array, num_vertices: int) -> tuple[Array, dict[
     Returns:
         What to write, and the table of scales and offsets if there is one.
     """
-    if name == STATIC_NAME or name.startswith(STREAM_PREFIX):
+    if name == STATIC_NAME:
         return array, None
     if is_index(name):
         is_short = num_vertices <= 2**16 and array.max() < 2**16
@@ -78,7 +77,7 @@ def to_memory(name: str, stored: Array, affine: Any) -> Array:
     """
     if is_index(name):
         return stored.astype(np.int32)
-    if name == STATIC_NAME or name.startswith(STREAM_PREFIX):
+    if name == STATIC_NAME:
         return stored
     if stored.dtype.kind == "f":
         return stored.astype(np.float32)

@@ -1,14 +1,20 @@
 """The latent stream: faces in, a few bytes a frame out, and back. Every frame is decoded alone.
 
-    encoder = LatentEncoder(profile, fps=30)
-    frame = encoder.encode(latent, rotation, translation_m, now_us)      # None: nothing to say
-    sample = LatentDecoder(profile).decode(frame.payload)
+    encoder = LatentEncoder(fps=30)
+    frame = encoder.encode(arkit, rotation, translation_m, now_us)       # None: nothing to say
+    sample = LatentDecoder(avatar).decode(frame.payload)
 
-A frame is quantised coefficients of the latent and of the head pose:
+The latent of a driven face is a function of 52 values, the expression encoder in the avatar file.
+Those values are few, most of them 0, none below, and both sides of a face have them alike, which
+the 256 numbers of a latent hide: coded directly they take a third less at the same error of the
+picture (transforms of latents, learned for each avatar, were measured beside them). So a frame
+holds the values and the head's pose, and the receiver applies the expression encoder:
 
-    coefficient = value / step, rounded to the nearest, or towards 0 where that saves enough bits
+    coefficient = value / step, rounded to the nearest, or towards what predicts it where that
+                  saves enough bits
 
-`docs/wire.md` says how they are written.
+A shape of the other side is predicted by the first side's; all else by 0. `docs/wire.md` says how
+they are written.
 
 So any frame may be dropped by anybody, and a late joiner decodes the next one. A receiver that
 wants less gets the frames whose sequence number is a multiple of 2 or 4; `EncodedFrame.multiple`
@@ -16,23 +22,23 @@ sees to it that what everybody must get is among them. A face that does not chan
 last, finer frame says so, then a heartbeat four times a second keeps the stream alive, until
 something moves by more than a tracker's noise.
 
-All is integers. Nothing here knows of time or networks; `now_us` is an argument.
+Payloads are integers, and alike on all machines. Nothing here knows of time or networks; `now_us`
+is an argument.
 """
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.profile import (
-    ACTIVITY_LEVELS,
-    ACTIVITY_WINDOW,
-    ESCAPE,
-    Range,
-    StreamProfile,
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.codec.range_coder import (
+    TOTAL,
     SymbolReader,
     Table,
     make_table,
@@ -40,14 +46,7 @@ from pica_core.codec.profile import (
     write_symbols,
 )
 from pica_core.errors import LatentError, ShapeError
-from pica_core.types import (
-    LATENT_SHAPE,
-    MAX_LATENT_LENGTH,
-    NUM_LATENT,
-    Array,
-    FloatArray,
-    Int64Array,
-)
+from pica_core.types import MAX_LATENT_LENGTH, FloatArray, Int64Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -75,217 +74,202 @@ class EncodedFrame:
     number."""
 
 
-HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
-REST_LENGTH_BITS = 4
-"""What lies beyond an escape is written as its length in bits, so many, and then itself."""
-MAX_REST_BITS = 13
-POSE_UNIT = 2.0**-14
-MAX_COEFFICIENT = 1 << 16
-"""A decoder refuses coefficients beyond: 1000 times the largest rendered change there is."""
-STEPS = (
-    (80, 24, 5), (64, 20, 4), (48, 14, 3), (36, 12, 2), (28, 10, 2), (20, 8, 2), (14, 6, 1),
-    (10, 4, 1),
-)  # fmt: skip
-"""By quality, the finest last: of the latent, in 64ths of a root of rendered MSE; of rotations, in
-2⁻¹⁴ rad (a head turns by 2 to 4 mrad a frame; 12 is 0.7 mrad and leaves an error of 0.3 in its
-steps from frame to frame, with 48 half of its motion was noise: docs/results.md); of translations,
-in 2⁻¹⁴ m (2 is 0.12 mm, and a head moves by 0.2 to 0.4 mm a frame)."""
-DEFAULT_QUALITY, BEST_QUALITY = 3, len(STEPS) - 1
+HAS_FACE, HAS_POSE, IS_STILL = 1, 2, 4
 QUALITY_TABLE = make_table((192, 192, 192, 11426, 3810, 191, 191, 190))
-HEADER_TABLE = make_table((1, 2886, 2, 13169, 1, 59, 1, 265))
-ROTATION_TABLE = make_table(
-    (4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1)
+HEADER_TABLE = make_table((1, 4600, 2, 11450, 1, 59, 1, 270))
+SHAPE_UNIT, POSE_UNIT = 2.0**-12, 2.0**-14
+"""Of shape values; of radians and metres."""
+# fmt: off
+SHAPE_STEPS = (
+    62, 70, 109, 97, 111, 200, 177, 62, 70, 97, 109, 111, 200, 177, 58, 90, 83, 15, 24, 49, 76, 55,
+    56, 68, 68, 185, 185, 165, 165, 156, 156, 67, 106, 53, 93, 162, 162, 130, 130, 84, 84, 120, 120,
+    78, 68, 68, 62, 165, 165, 66, 66, 200,
 )
-TRANSLATION_TABLE = make_table(
-    (4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1)
+"""How finely each shape is told at the usual quality, in its unit: inverse to what it changes in a
+picture, blurred over 4 pixels, as edges that move by less than the avatar's own error cost nothing
+(measured: three avatars, six faces each, views of `pica bench drive`)."""
+SHAPE_TABLES = (
+    4, 6, 4, 4, 5, 5, 5, 0, 0, 2, 2, 0, 0, 0, 3, 2, 2, 7, 4, 6, 4, 3, 3, 6, 1, 5, 0, 5, 0, 5, 0, 4,
+    5, 6, 5, 5, 0, 5, 1, 6, 1, 4, 1, 6, 6, 1, 3, 5, 1, 6, 1, 2,
 )
-"""How likely lengths of 0 to 15 bits are (counted of heads that nod, turn and rest)."""
-POSE_TABLES = (*[ROTATION_TABLE] * 3, *[TRANSLATION_TABLE] * 3)
-BIT_PRICE = 0.12
-"""A bit less is worth so much more squared error of the latent, in squared steps (measured on two
-avatars, a real recording: 0.08 to 0.16 are alike, 4 % of the bits at the same error; a dead zone,
-which asks no table, held lips back)."""
+"""The row of `LENGTH_TABLES` of each shape."""
+FIRST_SIDES = (
+    -1, -1, -1, -1, -1, -1, -1, 0, 1, 3, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 23, -1,
+    25, -1, 27, -1, 29, -1, -1, -1, -1, -1, 35, -1, 37, -1, 39, -1, 41, -1, -1, 44, -1, -1, 47, -1,
+    49, -1,
+)
+"""The shape that predicts each shape: of the left side, or of the eye that looks the same way."""
+LENGTH_TABLES = tuple(map(make_table, (
+    (15635, 410, 147, 94, 53, 22, 14, 1, 1, 1, 1, 1, 1, 1, 1, 1),
+    (14973, 910, 269, 100, 74, 41, 8, 1, 1, 1, 1, 1, 1, 1, 1, 1),
+    (9436, 2034, 3070, 1322, 287, 181, 37, 8, 2, 1, 1, 1, 1, 1, 1, 1),
+    (9137, 1576, 1949, 2987, 382, 201, 121, 21, 3, 1, 1, 1, 1, 1, 1, 1),
+    (6256, 1483, 2392, 2688, 2043, 1146, 309, 56, 4, 1, 1, 1, 1, 1, 1, 1),
+    (5180, 3034, 3611, 2850, 1357, 294, 35, 13, 3, 1, 1, 1, 1, 1, 1, 1),
+    (3830, 1379, 2502, 3422, 2949, 1715, 561, 16, 3, 1, 1, 1, 1, 1, 1, 1),
+    (2865, 445, 596, 863, 1232, 2520, 3340, 3506, 998, 13, 1, 1, 1, 1, 1, 1),
+    (4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1),
+    (4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1),
+)))
+"""How likely numbers of 0 to 15 bits are: eight for shapes, counted of generated faces, those as
+trackers send them twice; one for rotations and one for translations, of heads that nod, turn and
+rest."""
+# fmt: on
+ROTATION_STEP, TRANSLATION_STEP = 12, 2
+"""0.7 mrad and 0.12 mm (a head turns by 2 to 4 mrad a frame and moves by 0.2 to 0.4 mm; with four
+times the step half of its motion was noise: docs/results.md)."""
+FINENESS = (36, 28, 21, 16, 12, 9, 6, 4)
+"""By quality, the finest last: 16ths of the usual steps."""
+DEFAULT_QUALITY, BEST_QUALITY = 3, len(FINENESS) - 1
+BIT_PRICE = 0.15
+"""A bit less is worth so much more squared error of a shape, in squared steps (measured on a real
+recording: 0.1 to 0.2 are alike, 0 takes a tenth more bits at the same error)."""
 LEAST_QUARTER_FPS = 5.0
 """What is left of a stream by the quarter of its sequence numbers, at least: less is a slide show.
 Slower streams leave numbers out."""
-MOVED_FACE, MOVED_POSE = 18, (8, 8, 8, 2, 2, 2)
-"""How far a coefficient must move, in its units, for a face not to be still: a quarter of a root of
-rendered MSE, half a milliradian, an eighth of a millimetre (chosen: below is what trackers do by
-themselves)."""
 STILL_AFTER_US = 250_000
-"""A face that has not changed for so long falls silent."""
+"""A face that has not changed for so long, by a usual step, falls silent."""
 HEARTBEAT_US = 250_000
 """Time between two frames of a silent face."""
+MAX_SHAPE = 2.0
+"""Shape values are clamped to 0 and this; trackers overshoot 1 a little."""
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
+MAX_COEFFICIENT = 1 << 16
+"""A decoder refuses coefficients beyond."""
+
+
+class Coefficient(NamedTuple):
+    """How one number of a frame is written.
+
+    Attributes:
+        step: In its unit, at the usual quality.
+        first: The place of the number that predicts it; -1 is none.
+        is_signed: Whether it, less what predicts it, may be negative.
+    """
+
+    step: int
+    table: Table
+    first: int
+    is_signed: bool
+
+
+COEFFICIENTS = (
+    *(
+        Coefficient(step, LENGTH_TABLES[table], first, first >= 0)
+        for step, table, first in zip(SHAPE_STEPS, SHAPE_TABLES, FIRST_SIDES, strict=True)
+    ),
+    *[Coefficient(ROTATION_STEP, LENGTH_TABLES[8], -1, True)] * 3,
+    *[Coefficient(TRANSLATION_STEP, LENGTH_TABLES[9], -1, True)] * 3,
+)
+"""Of the 52 shapes, then of rotation and translation."""
+PLACES = {HAS_FACE: range(NUM_ARKIT), HAS_POSE: range(NUM_ARKIT, len(COEFFICIENTS))}
+USUAL_STEPS = np.array([each.step for each in COEFFICIENTS])
 
 
 @cache
-def steps_of(quality: int, num_components: int) -> Int64Array:
-    """The step of each coefficient, ``[C]``, of which so many are the latent's."""
-    steps = np.repeat(np.array(STEPS[quality], np.int64), (num_components, 3, 3))
+def steps_of(quality: int) -> Int64Array:
+    """The step of each coefficient, ``[58]``, in its unit."""
+    steps: Int64Array = np.maximum(USUAL_STEPS * FINENESS[quality] // 16, 1)
     steps.flags.writeable = False
     return steps
 
 
-def quantise(values: Int64Array, steps: Array) -> Int64Array:
-    """Values in steps, rounded to the nearest."""
-    magnitudes = (2 * np.abs(values) + steps) // (2 * steps)
-    return np.where(values < 0, -magnitudes, magnitudes)
+def quantise(wanted: Int64Array, quality: int) -> list[int]:
+    """Coefficients in steps, rounded to the nearest, or by one nearer to what predicts them where
+    the bits are worth the error (`BIT_PRICE`; poses keep the nearest)."""
+    numbers: list[int] = []
+    for value, step, how in zip(
+        wanted.tolist(), steps_of(quality).tolist(), COEFFICIENTS, strict=True
+    ):
+        nearest = (2 * value + step) // (2 * step)
+        ahead = nearest - (numbers[how.first] if how.first >= 0 else 0)
+        if ahead and len(numbers) < NUM_ARKIT:
+            towards = 1 if ahead > 0 else -1
+            # The error grows from e to 1 - e, or to 1 + e on the other side: squared by 1 -+ 2 e.
+            grown = 1 + 2 * towards * (value / step - nearest)
+            if BIT_PRICE * (_bits(how, ahead) - _bits(how, ahead - towards)) > grown:
+                nearest -= towards
+        numbers.append(nearest)
+    return numbers
 
 
-def spare_bits(
-    profile: StreamProfile, values: Int64Array, quantised: Int64Array, step: int
-) -> None:
-    """Round coefficients towards 0, in place, where the bits are worth the error (`BIT_PRICE`).
-
-    Args:
-        values: Coefficients of the latent, ``[K]``.
-        quantised: The same in steps, rounded to the nearest; others may follow.
-    """
-    activity = _Activity()
-    for place, value in enumerate(np.abs(values).tolist()):
-        number = int(quantised[place])
-        magnitude, sign = abs(number), 1 if number > 0 else -1
-        # Beyond the middle of two steps the error grows from e to 1 - e, squared by 1 - 2 e.
-        grown = 1 - 2 * (magnitude - value / step)
-        if grown < 1 and 0 < magnitude < ESCAPE:
-            table = profile.tables[place][activity.context]
-            (_, dear), (_, cheap) = (
-                table.ranges[_symbol(sign * each)] for each in (magnitude, magnitude - 1)
-            )
-            if BIT_PRICE * math.log2(cheap / dear) > grown:
-                magnitude -= 1
-                quantised[place] = sign * magnitude
-        activity.add(magnitude)
+def _bits(how: Coefficient, ahead: int) -> float:
+    """What a number costs that is so far ahead of what predicts it."""
+    length = abs(ahead).bit_length()
+    uncoded = length - 1 + how.is_signed if length else 0
+    return uncoded - math.log2(how.table.ranges[length][1] / TOTAL)
 
 
-def encode_frame(
-    profile: StreamProfile, quantised: Int64Array, quality: int, *, is_still: bool = False
-) -> bytes:
+def encode_frame(numbers: list[int], quality: int, *, is_still: bool = False) -> bytes:
     """Write one frame.
 
     Args:
-        quantised: Coefficients in steps, ``[C]``, within `MAX_COEFFICIENT` when multiplied by them.
-        quality: Row of `STEPS`.
+        numbers: Coefficients in steps, 58, within `MAX_COEFFICIENT` when multiplied by them, those
+            of shapes at least 0.
+        quality: Index of `FINENESS`.
         is_still: Whether the sender falls silent after it.
     """
-    values: list[int] = quantised.tolist()
-    face, pose = values[: profile.num_components], values[profile.num_components :]
-    header = HAS_LATENT * any(face) + HAS_POSE * any(pose) + IS_STILL * is_still
-    ranges = [QUALITY_TABLE.ranges[quality], HEADER_TABLE.ranges[header]]
-    if header & HAS_LATENT:
-        _write_face(ranges, face, profile.tables)
-    if header & HAS_POSE:
-        for value, table in zip(pose, POSE_TABLES, strict=True):
-            length = abs(value).bit_length()
-            ranges.append(table.ranges[length])
-            if length:
-                ranges.append(uniform(value < 0, 1))
-                ranges.append(uniform(abs(value) - (1 << (length - 1)), length - 1))
+    parts = [part for part, places in PLACES.items() if any(numbers[place] for place in places)]
+    ranges = [
+        QUALITY_TABLE.ranges[quality],
+        HEADER_TABLE.ranges[sum(parts) + IS_STILL * is_still],
+    ]
+    for place in (place for part in parts for place in PLACES[part]):
+        how = COEFFICIENTS[place]
+        ahead = numbers[place] - (numbers[how.first] if how.first >= 0 else 0)
+        length = abs(ahead).bit_length()
+        ranges.append(how.table.ranges[length])
+        if length:
+            if how.is_signed:
+                ranges.append(uniform(ahead < 0, 1))
+            ranges.append(uniform(abs(ahead) - (1 << (length - 1)), length - 1))
     return write_symbols(ranges)
 
 
-def decode_frame(profile: StreamProfile, payload: bytes) -> tuple[Int64Array, bool]:
+def decode_frame(payload: bytes) -> tuple[Int64Array, bool]:
     """Read one frame.
 
     Returns:
-        Its coefficients, ``[C]``, and whether the sender falls silent after it.
+        Its coefficients, ``[58]``, and whether the sender falls silent after it.
 
     Raises:
-        LatentError: The payload is no frame of this profile.
+        LatentError: The payload is none that an encoder writes.
     """
     reader = SymbolReader(payload)
     quality, header = reader.read(QUALITY_TABLE), reader.read(HEADER_TABLE)
-    values = [0] * profile.num_coefficients
-    if header & HAS_LATENT:
-        _read_face(reader, values, profile.tables)
-    if header & HAS_POSE:
-        for place, table in enumerate(POSE_TABLES, profile.num_components):
-            if length := reader.read(table):
-                is_negative = reader.read_uniform(1)
-                magnitude = (1 << (length - 1)) + reader.read_uniform(length - 1)
-                values[place] = -magnitude if is_negative else magnitude
+    numbers = [0] * len(COEFFICIENTS)
+    for place in (place for part, places in PLACES.items() if header & part for place in places):
+        how = COEFFICIENTS[place]
+        number = numbers[how.first] if how.first >= 0 else 0
+        if length := reader.read(how.table):
+            is_negative = how.is_signed and reader.read_uniform(1)
+            magnitude = (1 << (length - 1)) + reader.read_uniform(length - 1)
+            number += -magnitude if is_negative else magnitude
+        numbers[place] = number
     reader.finish()
-    coefficients = np.array(values, np.int64) * steps_of(quality, profile.num_components)
+    coefficients = np.array(numbers, np.int64) * steps_of(quality)
+    if coefficients[:NUM_ARKIT].min() < 0:
+        raise LatentError("a shape is negative")
     if np.abs(coefficients).max() > MAX_COEFFICIENT:
         raise LatentError(f"a coefficient is beyond the limit of {MAX_COEFFICIENT}")
     return coefficients, bool(header & IS_STILL)
 
 
-class _Activity:
-    """What the coefficients before one say of it: which of its tables is used.
-
-    Attributes:
-        context: Of the next coefficient.
-    """
-
-    def __init__(self) -> None:
-        self.context = self._sum = 0
-        self._magnitudes: list[int] = []
-
-    def add(self, magnitude: int) -> None:
-        """Go on to the next coefficient."""
-        self._magnitudes.append(magnitude)
-        self._sum += magnitude
-        if len(self._magnitudes) > ACTIVITY_WINDOW:
-            self._sum -= self._magnitudes[-ACTIVITY_WINDOW - 1]
-        self.context = bisect_right(ACTIVITY_LEVELS, self._sum)
-
-
-def _symbol(value: int) -> int:
-    return 2 * min(abs(value), ESCAPE) - (value > 0)
-
-
-def _write_face(
-    ranges: list[Range], values: list[int], tables: tuple[tuple[Table, ...], ...]
-) -> None:
-    activity = _Activity()
-    for value, contexts in zip(values, tables, strict=True):
-        magnitude = abs(value)
-        ranges.append(contexts[activity.context].ranges[_symbol(value)])
-        if magnitude >= ESCAPE:
-            rest = magnitude - ESCAPE + 1
-            length = rest.bit_length() - 1
-            ranges.append(uniform(length, REST_LENGTH_BITS))
-            ranges.append(uniform(rest - (1 << length), length))
-        activity.add(magnitude)
-
-
-def _read_face(
-    reader: SymbolReader, values: list[int], tables: tuple[tuple[Table, ...], ...]
-) -> None:
-    activity = _Activity()
-    for place, contexts in enumerate(tables):
-        symbol = reader.read(contexts[activity.context])
-        magnitude = (symbol + 1) >> 1
-        if magnitude >= ESCAPE:
-            length = reader.read_uniform(REST_LENGTH_BITS)
-            if length > MAX_REST_BITS:
-                raise LatentError(f"a rest of {length} bits; the limit is {MAX_REST_BITS}")
-            magnitude += (1 << length) + reader.read_uniform(length) - 1
-        values[place] = magnitude if symbol & 1 else -magnitude
-        activity.add(magnitude)
-
-
 class LatentEncoder:
-    """The sending end of one stream.
+    """The sending end of one stream, of any avatar.
 
     Args:
         fps: Frames a second that `encode` is called with; decides which may be left out.
-        quality: Row of `STEPS`; each step up costs about a quarter more bits.
+        quality: Index of `FINENESS`; each step up costs about a sixth more bits.
     """
 
-    def __init__(
-        self, profile: StreamProfile, *, fps: float = 30.0, quality: int = DEFAULT_QUALITY
-    ) -> None:
-        self.profile, self._quality = profile, quality
+    def __init__(self, *, fps: float = 30.0, quality: int = DEFAULT_QUALITY) -> None:
+        self._quality = quality
         self._multiples: tuple[int, ...] = (4, 1, 2, 1)
         if fps < 4 * LEAST_QUARTER_FPS:
             self._multiples = (4, 2) if fps >= 2 * LEAST_QUARTER_FPS else (4,)
-        self._moved = np.full(profile.num_coefficients, MOVED_FACE)
-        self._moved[profile.num_components :] = MOVED_POSE
         self.restart()
 
     def restart(self) -> None:
@@ -297,7 +281,7 @@ class LatentEncoder:
 
     def encode(
         self,
-        latent: npt.ArrayLike,
+        arkit: npt.ArrayLike,
         rotation: npt.ArrayLike,
         translation_m: npt.ArrayLike,
         now_us: int,
@@ -305,7 +289,7 @@ class LatentEncoder:
         """Encode the next frame.
 
         Args:
-            latent: Expression code ``[8, 8, 4]``.
+            arkit: Values in `ARKIT_NAMES` order ``[52]``.
             rotation: Head pose, rotation vector, radians ``[3]``.
             translation_m: Offset from the seat, metres ``[3]``.
             now_us: Sender's clock, microseconds; never runs backwards.
@@ -317,9 +301,9 @@ class LatentEncoder:
             ShapeError: An argument of another shape.
             LatentError: A value that is not finite.
         """
-        wanted = self._coefficients(latent, rotation, translation_m)
+        wanted = _coefficients(arkit, rotation, translation_m)
         is_quiet = self._sent is not None and bool(
-            (np.abs(wanted - self._sent) < self._moved).all()
+            (np.abs(wanted - self._sent) < USUAL_STEPS).all()
         )
         if self._is_silent:
             if is_quiet and now_us - self._sent_us < HEARTBEAT_US:
@@ -335,53 +319,44 @@ class LatentEncoder:
             self._is_silent = since_us is not None and now_us - since_us >= STILL_AFTER_US
         self._phase = (self._phase + 1) % len(self._multiples)
         quality = min(self._quality + self._is_silent, BEST_QUALITY)
-        steps = steps_of(quality, self.profile.num_components)
-        quantised = quantise(wanted, steps)
-        spare_bits(self.profile, wanted[: self.profile.num_components], quantised, int(steps[0]))
-        payload = encode_frame(self.profile, quantised, quality, is_still=self._is_silent)
+        payload = encode_frame(quantise(wanted, quality), quality, is_still=self._is_silent)
         self._sent, self._sent_us = wanted, now_us
         return EncodedFrame(payload, multiple)
 
-    def _coefficients(
-        self, latent: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
-    ) -> Int64Array:
-        values = np.asarray(latent, np.float64)
-        pose = np.array((rotation, translation_m), np.float64)
-        if values.shape != LATENT_SHAPE or pose.shape != (2, 3):
-            raise ShapeError(
-                f"latent is {values.shape} and the pose {pose.shape}; "
-                f"{LATENT_SHAPE} and (2, 3) are needed"
-            )
-        if not (np.isfinite(values).all() and np.isfinite(pose).all()):
-            raise LatentError("latent or pose holds a value that is not finite")
-        units = np.rint(np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT)
-        face = self.profile.analyse(values.reshape(NUM_LATENT))
-        # Far from the limit of what is decoded: rounding must not step over it.
-        np.clip(face, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2, out=face)
-        return np.concatenate((face, units.astype(np.int64)))
+
+def _coefficients(
+    arkit: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
+) -> Int64Array:
+    values, pose = np.asarray(arkit, np.float64), np.array((rotation, translation_m), np.float64)
+    if values.shape != (NUM_ARKIT,) or pose.shape != (2, 3):
+        raise ShapeError(
+            f"arkit is {values.shape} and the pose {pose.shape}; "
+            f"({NUM_ARKIT},) and (2, 3) are needed"
+        )
+    if not (np.isfinite(values).all() and np.isfinite(pose).all()):
+        raise LatentError("arkit or pose holds a value that is not finite")
+    units = np.clip(values, 0, MAX_SHAPE) / SHAPE_UNIT
+    posed = np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT
+    return np.rint(np.concatenate((units, posed))).astype(np.int64)
 
 
 class LatentDecoder:
     """The receiving end of one stream; it keeps nothing between frames."""
 
-    def __init__(self, profile: StreamProfile) -> None:
-        self.profile = profile
+    def __init__(self, avatar: Avatar) -> None:
+        self._expressions = ExpressionEncoder(avatar)
 
     def decode(self, payload: bytes) -> LatentSample:
         """Decode a frame.
 
         Raises:
-            LatentError: The payload is no frame of this profile.
+            LatentError: The payload is none that an encoder writes.
         """
-        coefficients, is_still = decode_frame(self.profile, payload)
-        count = self.profile.num_components
-        pose = (coefficients[count:] * POSE_UNIT).astype(np.float32)
-        latent = self.profile.synthesise(coefficients[:count])
-        if (length := np.linalg.norm(latent)) > MAX_LATENT_LENGTH:
+        coefficients, is_still = decode_frame(payload)
+        pose = (coefficients[NUM_ARKIT:] * POSE_UNIT).astype(np.float32)
+        latent = self._expressions.encode(coefficients[:NUM_ARKIT] * SHAPE_UNIT)
+        if (length := np.linalg.norm(latent.astype(np.float64))) > MAX_LATENT_LENGTH:
             latent *= np.float32(MAX_LATENT_LENGTH / length)
         return LatentSample(
-            latent=latent.reshape(LATENT_SHAPE),
-            rotation=pose[:3],
-            translation_m=pose[3:],
-            is_still=is_still,
+            latent=latent, rotation=pose[:3], translation_m=pose[3:], is_still=is_still
         )

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -14,19 +13,15 @@ from torch import Tensor
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest, ViewSpan
-from pica_core.camera import dome_cameras
-from pica_core.capture.stage.expressions import stream_training_expressions, tracked_expressions
 from pica_core.capture.triangles import components
-from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import AvatarModel
 from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data import TrainingData, rasterise_uv, view_direction
-from pica_core.train.evaluate import ModelEvaluator, Picture, mean_mse
-from pica_core.train.stream_learning import RenderMetric, learn_profile
+from pica_core.train.evaluate import mean_mse
 from pica_core.train.train import Trainer
-from pica_core.types import LATENT_SHAPE, NUM_LATENT, BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, FloatArray, IntArray
 
 MARGIN_M = 0.02
 """How far decoded positions may leave the box of the training meshes."""
@@ -213,70 +208,3 @@ def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
     if (driven := mean_mse(rows, "driver")) is not None:
         card["held_out_mse_live"] = f"{driven:.1f}, sent from ARKit values"
     return card
-
-
-BACKGROUND = 0.25
-"""Colour around the head, 0 to 1: between skin and hair, so that both show against it."""
-METRIC_REACH = 0.5
-"""How far a direction is followed, in standard deviations of the codes along it: as far as
-differences between frames go."""
-LEAST_REACH = 0.05
-"""Below, pixels that change owner by chance drown what the direction does."""
-METRIC_FACES = 12
-"""Faces that the metric is averaged over (chosen, as what follows)."""
-METRIC_DIRECTIONS = 64
-"""Principal directions of the codes that it speaks of."""
-METRIC_VIEWS = ("front", "left")
-"""Names of the stage's evaluation views that the pictures are drawn from."""
-METRIC_SIZE = 192
-"""Rows and columns of the pictures."""
-
-
-def make_stream_profile(painter: ModelEvaluator) -> StreamProfile:
-    """Learn the stream of a trained avatar from codes as a live sender makes them."""
-    with torch.no_grad():
-        shown = stream_training_expressions(), tracked_expressions()
-        arkit = torch.from_numpy(np.concatenate(shown))
-        latents = painter.model.expression_encoder(arkit).permute(0, 2, 3, 1).numpy()
-        codes = latents.reshape(-1, NUM_LATENT).astype(np.float64)
-        metric = _measure_metric(painter, codes)
-    return learn_profile(codes, metric)
-
-
-def _measure_metric(painter: ModelEvaluator, codes: Float64Array) -> RenderMetric:
-    """How much a change of the latent changes the picture.
-
-    The model draws a face, then draws it again with the latent moved a little along one direction
-    after the other; the differences are the columns of a Jacobian, and their inner products,
-    averaged over faces and views, the metric. Silhouettes count: what moves against the background
-    changes pixels too.
-    """
-    by_name = {camera.name: camera for camera in dome_cameras(5, METRIC_SIZE, METRIC_SIZE)}
-    plain = np.full((METRIC_SIZE, METRIC_SIZE, 3), BACKGROUND * 255, np.float32)
-
-    def draw(code: Float64Array) -> list[Picture]:
-        grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
-        vertices_m = painter.vertices_m(grid)
-        return [painter.draw(grid, by_name[name], vertices_m=vertices_m) for name in METRIC_VIEWS]
-
-    def paint(code: Float64Array) -> Tensor:
-        """Pictures of a latent ``[256]`` behind each other, 0-255."""
-        pictures = [picture.on(plain).reshape(-1) for picture in draw(code)]
-        return torch.from_numpy(np.concatenate(pictures))
-
-    rng = np.random.default_rng(0)
-    variance, axes = np.linalg.eigh(np.cov(codes.T, bias=True))
-    largest = np.argsort(variance)[::-1][:METRIC_DIRECTIONS]
-    directions = axes.T[largest]
-    reach = np.maximum(METRIC_REACH * np.sqrt(np.maximum(variance[largest], 0)), LEAST_REACH)
-    gram = np.zeros((len(directions), len(directions)))
-    for code in codes[rng.choice(len(codes), METRIC_FACES, replace=False)]:
-        covered = sum(len(picture.pixels) for picture in draw(code))
-        slopes = torch.stack(
-            [
-                (paint(code + step) - paint(code - step)) / (2 * length)
-                for step, length in zip(reach[:, None] * directions, reach.tolist(), strict=True)
-            ]
-        )
-        gram += (slopes @ slopes.T).numpy().astype(np.float64) / (3 * covered)
-    return RenderMetric(directions, gram / METRIC_FACES)

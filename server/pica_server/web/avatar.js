@@ -233,7 +233,7 @@ function checkEntry(name, { dtype, shape, data_offsets: offsets }, affine, start
   const channels = isShape ? shape[shape.length - 1] : 0;
   const { scale, offset } = Object(affine[name]);
   // What counts is stored as it is; other whole numbers are codes.
-  const isCount = /^stream|faces$|rank$|parts$/.test(name);
+  const isCount = /faces$|rank$|parts$/.test(name);
   const isCode = areNumbers(scale, channels, MAX_SCALE) && areNumbers(offset, channels, MAX_SCALE);
   const isType = Object.hasOwn(ARRAYS, dtype) && isCode === !(isCount || dtype.startsWith("F"))
     && !(isCount && dtype.startsWith("F"));

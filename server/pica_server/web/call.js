@@ -2,7 +2,7 @@
 
 import { openAvatar } from "./avatar.js";
 import { seconds } from "./clock.js";
-import { LatentError, StreamProfile, decodeFace } from "./latent_stream.js";
+import { LatentError, decodeFace, openEncoder } from "./latent_stream.js";
 import { Link } from "./link.js";
 import { Playout } from "./playout.js";
 import { Guard, readSecret } from "./sframe.js";
@@ -65,8 +65,8 @@ async function fetchAvatar(base, id) {
 export class Member {
   /** @type {Avatar | null} */
   avatar = null;
-  /** @type {StreamProfile | null} */
-  profile = null;
+  /** @type {ReturnType<typeof openEncoder> | null} */
+  encode = null;
   trouble = "";
   isAway = false;
   isSpeaking = false;
@@ -125,7 +125,7 @@ export class Member {
     if (!this.track?.avatar) return;
     try {
       const avatar = await getAvatar(this.call.base, this.track.avatar);
-      this.profile = new StreamProfile((name) => avatar.integers(name));
+      this.encode = openEncoder(avatar);
       this.avatar = avatar;
       this.trouble = "";
     } catch (error) {
@@ -139,10 +139,10 @@ export class Member {
 
   /** @param {Frame} frame @param {number} now */
   receive(frame, now) {
-    if (this.profile === null || !this.every) return; // it was under way when it was unsubscribed
+    if (this.encode === null || !this.every) return; // it was under way when it was unsubscribed
     this.arrivedS = now;
     try {
-      this.playout.receive(frame, decodeFace(this.profile, frame.payload), now);
+      this.playout.receive(frame, decodeFace(this.encode, frame.payload), now);
       this.isHeld = false;
     } catch (error) {
       if (!(error instanceof LatentError)) throw error;
@@ -292,7 +292,7 @@ export class Call extends EventTarget {
     const track = { kind: "face", policy: "latest", avatar, stream: 1, deadline_ms: 0 };
     const own = new Member(this,
       { peer_id: "self", name, tracks: [track], metadata: {} }, -1, name);
-    const face = await OwnFace.open(await getAvatar(this.base, avatar));
+    const face = await OwnFace.open();
     await own.dress();
     if (this.status.state === "ended") return;
     this.self = own;

@@ -4,9 +4,8 @@
  */
 
 import { seconds } from "./clock.js";
-import { NUM_VALUES, StreamProfile, encodeFace } from "./latent_stream.js";
+import { NUM_ARKIT, encodeFace } from "./latent_stream.js";
 
-/** @import { Avatar } from "./avatar.js" */
 /** @typedef {Record<string, {shape: number[], values: ArrayLike<number>}>} Weights */
 /** @typedef {(payload: Uint8Array, capturedUs: number, multiple: number) => void} Send */
 
@@ -15,7 +14,6 @@ const [HOP, WINDOW] = [480, 1200];
 const [NUM_BANDS, LOWEST_HZ, HIGHEST_HZ] = [40, 80, 7600];
 const QUIETEST = 1e-7;
 const LEVEL_DECAY = 0.9995;
-const NUM_ARKIT = 52;
 /** How much later than its sound a mouth is known. */
 const DELAY_S = (4 * HOP + WINDOW / 2) / RATE_HZ;
 /** Which of the 52 shapes each answer of the network is. */
@@ -23,7 +21,6 @@ const COLUMNS =
   [[17], [18], [19], [20], [31], [32], [35, 36], [29, 30], [23, 24], [37, 38], [39, 40]];
 const BLINKS = [0, 7];
 const BLINK_S = 0.22;
-const LEAKY_SLOPE = 0.2;
 const FRAME_MS = 33;
 /** A mouth of which nothing more is heard comes to rest within it. */
 const REST_S = 0.2;
@@ -142,18 +139,6 @@ export class Mouth {
   }
 }
 
-/** The network of an avatar that makes latents of the 52 shapes.
- * @param {Pick<Avatar, "floats">} avatar @returns {(arkit: Float32Array) => Float32Array} */
-export function openEncoder(avatar) {
-  const layers = [0, 1, 2].map((index) =>
-    ["weight", "bias"].map((kind) => avatar.floats(`encoder.${index}.${kind}`)));
-  return (arkit) => layers.reduce((values, [weight, bias], index) => {
-    const inputs = index ? values.map((value) => Math.max(value, LEAKY_SLOPE * value)) : values;
-    return bias.map((sum, row) =>
-      inputs.reduce((all, value, i) => all + value * weight[row * inputs.length + i], sum));
-  }, arkit);
-}
-
 /** Sends one's own face. */
 export class OwnFace {
   shapes = new Float32Array(NUM_ARKIT);
@@ -164,17 +149,13 @@ export class OwnFace {
   phase = 0;
   timer = 0;
 
-  /** @param {Avatar} avatar @param {Mouth} mouth */
-  constructor(avatar, mouth) {
-    this.profile = new StreamProfile((name) => avatar.integers(name));
-    this.encode = openEncoder(avatar);
+  /** @param {Mouth} mouth */
+  constructor(mouth) {
     this.mouth = mouth;
   }
 
-  /** @param {Avatar} avatar */
-  static async open(avatar) {
-    return new OwnFace(avatar,
-      new Mouth(await loadWeights(new URL("mouth.json", import.meta.url))));
+  static async open() {
+    return new OwnFace(new Mouth(await loadWeights(new URL("mouth.json", import.meta.url))));
   }
 
   /** @param {Send} send */
@@ -206,10 +187,10 @@ export class OwnFace {
     for (const shape of BLINKS) {
       arkit[shape] = Math.max(1 - Math.abs((2 * (now - this.blinkS)) / BLINK_S - 1), 0);
     }
-    const face = new Float32Array(NUM_VALUES);
-    face.set(this.encode(arkit));
+    const face = new Float32Array(NUM_ARKIT + 6);
+    face.set(arkit);
     face.set([0.03 * Math.sin(now / 2.3), 0.05 * Math.sin(now / 3.7), 0.01 * Math.sin(now / 5.1)],
-      256);
-    send(encodeFace(this.profile, face), Math.round(capturedS * 1e6), MULTIPLES[this.phase++ % 4]);
+      NUM_ARKIT);
+    send(encodeFace(face), Math.round(capturedS * 1e6), MULTIPLES[this.phase++ % 4]);
   }
 }

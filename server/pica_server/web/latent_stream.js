@@ -1,10 +1,10 @@
 /**
  * The latent stream: a few bytes to a face, and back. Every frame is decoded alone, in whole
- * numbers below 2^53, which floats hold exactly; so all receivers see the same face. The format is
- * that of docs/wire.md; `pica_core.codec` is the Python side.
+ * numbers below 2^53, which floats hold exactly. The format is that of docs/wire.md;
+ * `pica_core.codec` is the Python side.
  */
 
-/** @typedef {ArrayLike<number>} Numbers */
+/** @import { Avatar } from "./avatar.js" */
 /**
  * A face at one moment. Its 262 values: the latent (8 rows, 8 columns, 4 channels), the rotation
  * from head to seat (a rotation vector, radians) and the translation (metres).
@@ -16,32 +16,56 @@
 
 export const NUM_LATENT = 256;
 export const NUM_VALUES = NUM_LATENT + 6;
+export const NUM_ARKIT = 52;
 const TOTAL_BITS = 14;
 const TOTAL = 1 << TOTAL_BITS;
 const FULL_RANGE = 2 ** 48;
 const LEAST_RANGE = 2 ** 40;
 const MAX_PAYLOAD_BYTES = 512;
-const ESCAPE = 20;
-const ACTIVITY_LEVELS = [1, 4, 9, 20, 40];
-const ACTIVITY_WINDOW = 16;
-const MAX_REST_BITS = 13;
-const [HAS_LATENT, HAS_POSE, IS_STILL] = [1, 2, 4];
+const [HAS_FACE, HAS_POSE, IS_STILL] = [1, 2, 4];
+const SHAPE_UNIT = 2 ** -12;
 const POSE_UNIT = 2 ** -14;
-const LATENT_UNIT = 2 ** -12;
-const MAX_LATENT = 1 << 20;
+const MAX_SHAPE = 2;
 const MAX_COEFFICIENT = 1 << 16;
-const NUM_TABLES = 121;
-const MAX_SHIFT = 24;
 /** Longer latents are shortened to this. */
 const MAX_LENGTH = 128;
-/** By quality, of latent, rotation and translation. */
-const STEPS = [
-  [80, 24, 5], [64, 20, 4], [48, 14, 3], [36, 12, 2], [28, 10, 2], [20, 8, 2], [14, 6, 1],
-  [10, 4, 1],
-];
+const LEAKY_SLOPE = 0.2;
+/** By quality: 16ths of the usual steps. */
+const FINENESS = [36, 28, 21, 16, 12, 9, 6, 4];
 const DEFAULT_QUALITY = 3;
-/** A bit less is worth so much more squared error of the latent, in squared steps. */
-const BIT_PRICE = 0.12;
+/** A bit less is worth so much more squared error of a shape, in squared steps. */
+const BIT_PRICE = 0.15;
+/** Of the 52 shapes, the rotation and the translation. */
+const USUAL_STEPS = [
+  62, 70, 109, 97, 111, 200, 177, 62, 70, 97, 109, 111, 200, 177, 58, 90, 83, 15, 24, 49, 76, 55,
+  56, 68, 68, 185, 185, 165, 165, 156, 156, 67, 106, 53, 93, 162, 162, 130, 130, 84, 84, 120, 120,
+  78, 68, 68, 62, 165, 165, 66, 66, 200,
+  12, 12, 12, 2, 2, 2,
+];
+const TABLES = [
+  4, 6, 4, 4, 5, 5, 5, 0, 0, 2, 2, 0, 0, 0, 3, 2, 2, 7, 4, 6, 4, 3, 3, 6, 1, 5, 0, 5, 0, 5, 0, 4, 5,
+  6, 5, 5, 0, 5, 1, 6, 1, 4, 1, 6, 6, 1, 3, 5, 1, 6, 1, 2,
+  8, 8, 8, 9, 9, 9,
+];
+/** Which coefficient predicts each; -1 is none. */
+const FIRST = [
+  -1, -1, -1, -1, -1, -1, -1, 0, 1, 3, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 23, -1,
+  25, -1, 27, -1, 29, -1, -1, -1, -1, -1, 35, -1, 37, -1, 39, -1, 41, -1, -1, 44, -1, -1, 47, -1,
+  49, -1,
+  -1, -1, -1, -1, -1, -1,
+];
+const LENGTH_TABLES = [
+  [15635, 410, 147, 94, 53, 22, 14, 1, 1, 1, 1, 1, 1, 1, 1, 1],
+  [14973, 910, 269, 100, 74, 41, 8, 1, 1, 1, 1, 1, 1, 1, 1, 1],
+  [9436, 2034, 3070, 1322, 287, 181, 37, 8, 2, 1, 1, 1, 1, 1, 1, 1],
+  [9137, 1576, 1949, 2987, 382, 201, 121, 21, 3, 1, 1, 1, 1, 1, 1, 1],
+  [6256, 1483, 2392, 2688, 2043, 1146, 309, 56, 4, 1, 1, 1, 1, 1, 1, 1],
+  [5180, 3034, 3611, 2850, 1357, 294, 35, 13, 3, 1, 1, 1, 1, 1, 1, 1],
+  [3830, 1379, 2502, 3422, 2949, 1715, 561, 16, 3, 1, 1, 1, 1, 1, 1, 1],
+  [2865, 445, 596, 863, 1232, 2520, 3340, 3506, 998, 13, 1, 1, 1, 1, 1, 1],
+  [4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1],
+  [4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1],
+].map(tableOf);
 
 /** What cannot be read as a frame. */
 export class LatentError extends Error {}
@@ -56,56 +80,7 @@ function tableOf(frequencies) {
 }
 
 const QUALITY_TABLE = tableOf([192, 192, 192, 11426, 3810, 191, 191, 190]);
-const HEADER_TABLE = tableOf([1, 2886, 2, 13169, 1, 59, 1, 265]);
-const ROTATION_TABLE = tableOf(
-  [4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1]);
-const TRANSLATION_TABLE = tableOf(
-  [4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1]);
-const POSE_TABLES = [ROTATION_TABLE, TRANSLATION_TABLE].flatMap((table) => [table, table, table]);
-/** @type {Table[]} */
-const coefficientTables = [];
-
-/** @param {number} index 11 a + b. @returns {Table} */
-export function coefficientTable(index) {
-  if (!coefficientTables[index]) {
-    const zero = 1 + 3 * Math.floor(index / 11);
-    const ratio = 1 + 3 * (index % 11);
-    const weights = [2 ** 30];
-    while (weights.length < ESCAPE)
-      weights.push(Math.floor((weights[weights.length - 1] * ratio) / 32));
-    weights[ESCAPE - 1] = Math.floor((weights[ESCAPE - 1] * 32) / (32 - ratio));
-    const sum = weights.reduce((a, b) => a + b);
-    const spare = (TOTAL - 2 * ESCAPE - 1) * (32 - zero);
-    // Products reach 2^49 and the divisor 2^41: the quotient of floats rounds to no other integer.
-    const sides = weights.map((weight) => 1 + Math.floor((spare * weight) / (64 * sum)));
-    const middle = TOTAL - 2 * sides.reduce((a, b) => a + b);
-    coefficientTables[index] = tableOf([middle, ...sides.flatMap((side) => [side, side])]);
-  }
-  return coefficientTables[index];
-}
-
-/** What a frame's coefficients mean for one avatar, and how likely they are. */
-export class StreamProfile {
-  /**
-   * Throws an `Error` if the numbers are none.
-   * @param {(name: string) => Numbers} tensor Gives a tensor of the avatar file by its name.
-   */
-  constructor(tensor) {
-    const indices = Array.from(tensor("stream.table_index"));
-    const [shift] = Array.from(tensor("stream.synthesis_shift"));
-    if (indices.some((index) => index >= NUM_TABLES) || !(shift >= 0 && shift <= MAX_SHIFT)) {
-      throw new Error(
-        `stream.table_index is beyond ${NUM_TABLES - 1}, or its shift beyond ${MAX_SHIFT}`);
-    }
-    this.count = indices.length / 6;
-    this.tables = Array.from({ length: this.count }, (_, k) =>
-      indices.slice(6 * k, 6 * k + 6).map(coefficientTable));
-    this.scale = 2 ** shift;
-    this.mean = tensor("stream.mean");
-    this.analysis = tensor("stream.analysis");
-    this.synthesis = tensor("stream.synthesis");
-  }
-}
+const HEADER_TABLE = tableOf([1, 4600, 2, 11450, 1, 59, 1, 270]);
 
 /** The symbols of one payload, in order. @param {Uint8Array} payload */
 function openPayload(payload) {
@@ -152,125 +127,116 @@ function openPayload(payload) {
   };
 }
 
-/**
- * Go through the coefficients of a face: each has the table that those before it choose.
- * @type {(profile: StreamProfile, visit: (table: Table, place: number) => number) => number[]}
- */
-function eachCoefficient({ tables }, visit) {
-  let activity = 0;
-  /** @type {number[]} */
-  const values = [];
-  tables.forEach((contexts, place) => {
-    const context = ACTIVITY_LEVELS.filter((level) => level <= activity).length;
-    values.push(visit(contexts[context], place));
-    activity += Math.abs(values[place]) - Math.abs(values[place - ACTIVITY_WINDOW] ?? 0);
-  });
-  return values;
+/** The network of an avatar that makes latents of the 52 shapes.
+ * @param {Pick<Avatar, "floats">} avatar @returns {(arkit: Float32Array) => Float32Array} */
+export function openEncoder(avatar) {
+  const layers = [[NUM_ARKIT, 160], [160, 160], [160, NUM_LATENT]].map(([ins, outs], index) => [
+    avatar.floats(`encoder.${index}.weight`, ins * outs),
+    avatar.floats(`encoder.${index}.bias`, outs),
+  ]);
+  return (arkit) => layers.reduce((values, [weight, bias], index) => {
+    const inputs = index ? values.map((value) => Math.max(value, LEAKY_SLOPE * value)) : values;
+    return bias.map((sum, row) =>
+      inputs.reduce((all, value, i) => all + value * weight[row * inputs.length + i], sum));
+  }, arkit);
 }
 
-/**
- * Read the coefficients of one frame; throws a `LatentError` if no encoder wrote it.
- * @param {StreamProfile} profile @param {Uint8Array} payload
- */
-export function decodeFrame(profile, payload) {
+/** Read the coefficients of one frame; throws a `LatentError` if no encoder wrote it.
+ * @param {Uint8Array} payload */
+export function decodeFrame(payload) {
   const reader = openPayload(payload);
-  const steps = stepsOf(reader.symbol(QUALITY_TABLE), profile.count);
+  const steps = stepsOf(reader.symbol(QUALITY_TABLE));
   const header = reader.symbol(HEADER_TABLE);
-  const face = header & HAS_LATENT ? eachCoefficient(profile, (table) => {
-    const symbol = reader.symbol(table);
-    let magnitude = (symbol + 1) >> 1;
-    if (magnitude >= ESCAPE) {
-      const length = reader.uniform(4);
-      if (length > MAX_REST_BITS) throw new LatentError(`a rest of ${length} bits`);
-      magnitude += 2 ** length + reader.uniform(length) - 1;
-    }
-    return symbol & 1 ? magnitude : 0 - magnitude;
-  }) : new Array(profile.count).fill(0);
-  const pose = POSE_TABLES.map((table) => {
-    const length = header & HAS_POSE ? reader.symbol(table) : 0;
-    if (!length) return 0;
-    const sign = reader.uniform(1) ? -1 : 1;
-    return sign * (2 ** (length - 1) + reader.uniform(length - 1));
+  /** @type {number[]} */
+  const numbers = [];
+  FIRST.forEach((first, place) => {
+    const start = numbers[first] ?? 0;
+    const isCoded = header & (place < NUM_ARKIT ? HAS_FACE : HAS_POSE);
+    const length = isCoded ? reader.symbol(LENGTH_TABLES[TABLES[place]]) : 0;
+    if (!length) return numbers.push(start);
+    const sign = isSigned(place) && reader.uniform(1) ? -1 : 1;
+    return numbers.push(start + sign * (2 ** (length - 1) + reader.uniform(length - 1)));
   });
   reader.finish();
-  const coefficients = [...face, ...pose].map((value, i) => value * steps[i]);
+  const coefficients = numbers.map((number, place) => number * steps[place]);
+  if (Math.min(...coefficients.slice(0, NUM_ARKIT)) < 0) throw new LatentError("negative shape");
   if (coefficients.some((value) => Math.abs(value) > MAX_COEFFICIENT)) {
     throw new LatentError(`a coefficient is beyond the limit of ${MAX_COEFFICIENT}`);
   }
   return { coefficients, isStill: Boolean(header & IS_STILL) };
 }
 
-/** @param {StreamProfile} profile @param {Uint8Array} payload @returns {Sample} */
-export function decodeFace(profile, payload) {
-  const { coefficients, isStill } = decodeFrame(profile, payload);
-  const { mean, synthesis, scale, count } = profile;
+/** @param {ReturnType<typeof openEncoder>} encode @param {Uint8Array} payload
+ * @returns {Sample} */
+export function decodeFace(encode, payload) {
+  const { coefficients, isStill } = decodeFrame(payload);
+  const shapes = coefficients.slice(0, NUM_ARKIT).map((value) => value * SHAPE_UNIT);
+  const latent = encode(Float32Array.from(shapes));
+  const length = Math.sqrt(latent.reduce((sum, value) => sum + value ** 2, 0));
+  const shorter = Math.min(MAX_LENGTH / length, 1);
   const values = new Float32Array(NUM_VALUES);
-  let power = 0;
-  for (let i = 0; i < NUM_LATENT; i++) {
-    let sum = Math.floor(scale / 2);
-    for (let k = 0; k < count; k++) sum += synthesis[k * NUM_LATENT + i] * coefficients[k];
-    values[i] = clamp(Math.floor(sum / scale) + mean[i], MAX_LATENT) * LATENT_UNIT;
-    power += values[i] ** 2;
-  }
-  const shorter = Math.min(MAX_LENGTH / Math.sqrt(power), 1);
-  if (shorter < 1) values.forEach((value, i) => (values[i] = value * shorter));
-  values.set(coefficients.slice(count).map((value) => value * POSE_UNIT), NUM_LATENT);
+  values.set(shorter < 1 ? latent.map((value) => value * shorter) : latent);
+  values.set(coefficients.slice(NUM_ARKIT).map((value) => value * POSE_UNIT), NUM_LATENT);
   return { values, isStill };
 }
 
-/** Write a face, 262 values, as one frame, at the quality that senders use.
- * @param {StreamProfile} profile @param {Float32Array} values */
-export function encodeFace(profile, values) {
-  const { mean, analysis, count } = profile;
-  const steps = stepsOf(DEFAULT_QUALITY, count);
-  const latent = Array.from(values.subarray(0, NUM_LATENT), (value, i) =>
-    clamp(roundHalfEven(value / LATENT_UNIT), MAX_LATENT) - mean[i]);
-  const exact = Array.from({ length: count }, (_, k) => {
-    const sum = latent.reduce((all, value, i) => all + value * analysis[i * count + k], 2 ** 15);
-    return clamp(Math.floor(sum / 2 ** 16), MAX_COEFFICIENT / 2);
-  });
-  const pose = Array.from(values.subarray(NUM_LATENT), (value, i) =>
-    roundHalfEven(clamp(value, i < 3 ? Math.PI : 1) / POSE_UNIT));
-  const rounded = [...exact, ...pose].map((value, i) =>
-    Math.sign(value) * Math.floor((2 * Math.abs(value) + steps[i]) / (2 * steps[i])));
-  const face = eachCoefficient(profile, (table, place) =>
-    thrifty(table, rounded[place], Math.abs(exact[place]) / steps[0]));
-  const turned = rounded.slice(count);
-  const header = (face.some(Boolean) ? HAS_LATENT : 0) | (turned.some(Boolean) ? HAS_POSE : 0);
+/** Write a face, 52 shapes and 6 values of the pose, as one frame, at the quality that senders
+ * use. @param {Float32Array} values */
+export function encodeFace(values) {
+  const steps = stepsOf(DEFAULT_QUALITY);
+  /** @type {number[]} */
+  const numbers = [];
+  values.forEach((value, place) =>
+    numbers.push(quantised(coefficientOf(value, place), steps[place], place, numbers)));
+  const isSome = [numbers.slice(0, NUM_ARKIT), numbers.slice(NUM_ARKIT)].map((part) =>
+    part.some(Boolean));
+  const header = (isSome[0] ? HAS_FACE : 0) | (isSome[1] ? HAS_POSE : 0);
   const ranges = [rangeOf(QUALITY_TABLE, DEFAULT_QUALITY), rangeOf(HEADER_TABLE, header)];
-  if (header & HAS_LATENT) {
-    eachCoefficient(profile, (table, place) => {
-      const magnitude = Math.abs(face[place]);
-      ranges.push(rangeOf(table, 2 * Math.min(magnitude, ESCAPE) - (face[place] > 0 ? 1 : 0)));
-      if (magnitude >= ESCAPE) {
-        const rest = magnitude - ESCAPE + 1;
-        const length = bitLength(rest) - 1;
-        ranges.push(uniform(length, 4), uniform(rest - 2 ** length, length));
-      }
-      return face[place];
-    });
-  }
-  turned.forEach((value, i) => {
-    if (!(header & HAS_POSE)) return;
-    const length = bitLength(Math.abs(value));
-    ranges.push(rangeOf(POSE_TABLES[i], length));
-    if (length) ranges.push(uniform(value < 0 ? 1 : 0, 1),
-      uniform(Math.abs(value) - 2 ** (length - 1), length - 1));
+  numbers.forEach((number, place) => {
+    if (!isSome[place < NUM_ARKIT ? 0 : 1]) return;
+    const ahead = number - (numbers[FIRST[place]] ?? 0);
+    const length = bitLength(Math.abs(ahead));
+    ranges.push(rangeOf(LENGTH_TABLES[TABLES[place]], length));
+    if (length && isSigned(place)) ranges.push(uniform(ahead < 0 ? 1 : 0, 1));
+    if (length) ranges.push(uniform(Math.abs(ahead) - 2 ** (length - 1), length - 1));
   });
   return writeSymbols(ranges);
 }
 
-/** A coefficient in steps, one nearer to 0 where the bits are worth the error.
- * @param {Table} table @param {number} value @param {number} exact Without its sign. */
-function thrifty({ frequencies }, value, exact) {
-  const magnitude = Math.abs(value);
-  const grown = 1 - 2 * (magnitude - exact);
-  if (grown >= 1 || magnitude < 1 || magnitude >= ESCAPE) return value;
-  const sign = value > 0 ? 1 : 0;
-  const cheap = frequencies[magnitude > 1 ? 2 * (magnitude - 1) - sign : 0];
-  const isWorth = BIT_PRICE * Math.log2(cheap / frequencies[2 * magnitude - sign]) > grown;
-  return isWorth ? value - Math.sign(value) : value;
+/** @type {(value: number, place: number) => number} */
+function coefficientOf(value, place) {
+  if (place < NUM_ARKIT) return roundHalfEven(Math.min(Math.max(value, 0), MAX_SHAPE) / SHAPE_UNIT);
+  return roundHalfEven(clamp(value, place < NUM_ARKIT + 3 ? Math.PI : 1) / POSE_UNIT);
 }
+
+/**
+ * A coefficient in steps: the nearest, or for shapes one nearer to what predicts it where the bits
+ * are worth the error.
+ * @type {(value: number, step: number, place: number, before: number[]) => number}
+ */
+function quantised(value, step, place, before) {
+  const nearest = Math.floor((2 * value + step) / (2 * step));
+  const ahead = nearest - (before[FIRST[place]] ?? 0);
+  if (!ahead || place >= NUM_ARKIT) return nearest;
+  const towards = Math.sign(ahead);
+  const grown = 1 + 2 * towards * (value / step - nearest);
+  const saved = bitsOf(place, ahead) - bitsOf(place, ahead - towards);
+  return BIT_PRICE * saved > grown ? nearest - towards : nearest;
+}
+
+/** What a coefficient costs that is so far ahead of what predicts it.
+ * @type {(place: number, ahead: number) => number} */
+function bitsOf(place, ahead) {
+  const length = bitLength(Math.abs(ahead));
+  const uncoded = length ? length - 1 + (isSigned(place) ? 1 : 0) : 0;
+  return uncoded - Math.log2(LENGTH_TABLES[TABLES[place]].frequencies[length] / TOTAL);
+}
+
+/** @type {(place: number) => boolean} */
+const isSigned = (place) => place >= NUM_ARKIT || FIRST[place] >= 0;
+/** @param {number} quality */
+const stepsOf = (quality) =>
+  USUAL_STEPS.map((step) => Math.max(Math.floor((step * FINENESS[quality]) / 16), 1));
 
 /** @param {Range[]} ranges */
 function writeSymbols(ranges) {
@@ -291,12 +257,6 @@ function writeSymbols(ranges) {
   const payload = new Uint8Array(Number((bits - shift) / 8n));
   for (let at = payload.length - 1; at >= 0; at--, code >>= 8n) payload[at] = Number(code & 255n);
   return payload;
-}
-
-/** @type {(quality: number, count: number) => number[]} */
-function stepsOf(quality, count) {
-  const [face, ...pose] = STEPS[quality];
-  return [...new Array(count).fill(face), ...pose.flatMap((step) => [step, step, step])];
 }
 
 /** @type {(table: Table, symbol: number) => Range} */

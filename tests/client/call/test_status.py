@@ -127,10 +127,9 @@ def test_how_long_a_call_has_lasted_reads_like_a_clock(seconds: float, text: str
 
 
 def test_what_is_encrypted_is_not_drawn_without_the_secret() -> None:
-    avatar = make_toy_avatar()
     call = call_with(person("p1", "Ada", 1))
     # Ciphertext that happens to be a latent: one in some seconds of frames is.
-    payload = toy_payload(avatar, 1.0)
+    payload = toy_payload(1.0)
     call.receive_event(Frame(stream=1, sequence=0, captured_us=0, payload=payload), now=1.0)
     assert call.faces(1.2)[0].latent is not None
     call.receive_event(Whisper(peer_id="p1", data=b"a note about keys"), now=1.3)

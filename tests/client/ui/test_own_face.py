@@ -11,7 +11,6 @@ from pica_client.call.call import Reflection
 from pica_client.publish import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.ui.viewer import SelfView
-from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
 from pica_core.codec.latent_stream import LatentEncoder
 from pica_core.gl import create_context
@@ -24,9 +23,9 @@ AVATAR = load_avatar(shipped_avatar_files()[0])
 def send(reflection: Reflection, number: int) -> None:
     """Send one frame of a face that talks."""
     frame = open_source("performance:talk").frame_at(number / 30)
-    stream = LatentEncoder(AVATAR.stream_profile())
-    latent = ExpressionEncoder(AVATAR).encode(frame.arkit)
-    coded = stream.encode(latent, frame.rotation, frame.translation_m, number * 33_333)
+    coded = LatentEncoder().encode(
+        frame.arkit, frame.rotation, frame.translation_m, number * 33_333
+    )
     assert coded is not None
     reflection.receive(coded, number * 33_333, now=number / 30)
 

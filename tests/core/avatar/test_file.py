@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from helpers.toy import make_toy_avatar, with_toy_levels, without_stream
+from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar import file as avatar_file
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
 from pica_core.avatar.levels import STATIC_NAME
 from pica_core.avatar.linear import linear_shapes
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.errors import AvatarFileError, ProfileError
+from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit
 
@@ -215,7 +215,6 @@ def test_a_quantised_tensor_without_its_scales_is_refused(toy_bytes: bytes, tabl
         ("mesh.faces", np.full((9, 3), -1, np.int32), "allowed are 0 to 63"),
         ("mesh.faces", np.zeros((9, 4), np.int32), r"mesh.faces has shape \[9, 4\]"),
         ("u_encoding", np.zeros((20, 2), np.float64), "float64; float32 is needed"),
-        ("stream.mean", np.zeros(3, np.float32), r"stream\.mean is float32 \[3\]; int32"),
         ("unheard_of", np.zeros(3, np.float32), "'unheard_of' is unknown"),
         *(
             ("pixel.1.weight", np.full((8, 8), bad, np.float32), r"pixel\.1\.weight .* not finite")
@@ -236,8 +235,3 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     path = tmp_path / "nowhere" / "a.pica"
     with pytest.raises(AvatarFileError, match=r"nowhere/a\.pica: cannot be written: No such file"):
         save_avatar(path, make_toy_avatar())
-
-
-def test_an_avatar_without_tables_is_refused_where_a_stream_begins() -> None:
-    with pytest.raises(ProfileError, match="Toy has no stream profile, which a call needs"):
-        without_stream(TOY).stream_profile()

@@ -7,25 +7,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.stream_toy import (
-    STILL,
-    Publisher,
-    toy_faces,
-    toy_profile,
-)
+from helpers.stream_toy import STILL, Publisher, toy_faces
+from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.codec.latent_stream import (
+    COEFFICIENTS,
     DEFAULT_QUALITY,
+    FIRST_SIDES,
     HEARTBEAT_US,
     MAX_COEFFICIENT,
+    SHAPE_UNIT,
     STILL_AFTER_US,
     LatentEncoder,
     decode_frame,
     encode_frame,
     quantise,
-    spare_bits,
     steps_of,
 )
-from pica_core.codec.profile import NUM_POSE
 from pica_core.errors import LatentError, ShapeError
 from pica_core.types import Float64Array
 
@@ -53,14 +50,13 @@ def rested(face: Float64Array, num_frames: int, quality: int = DEFAULT_QUALITY) 
 def test_any_coefficients_come_back_as_they_were(
     seed: int, quality: int, reach: int, is_still: bool
 ) -> None:
-    profile = toy_profile()
-    steps = steps_of(quality, profile.num_components)
-    largest = MAX_COEFFICIENT // steps
-    values = np.random.default_rng(seed).integers(-reach, reach + 1, profile.num_coefficients)
-    values = np.clip(values, -largest, largest)
-    payload = encode_frame(profile, values, quality, is_still=is_still)
-    coefficients, was_still = decode_frame(profile, payload)
-    np.testing.assert_array_equal(coefficients, values * steps)
+    steps = steps_of(quality)
+    values = np.random.default_rng(seed).integers(-reach, reach + 1, len(steps))
+    values[:NUM_ARKIT] = np.abs(values[:NUM_ARKIT])
+    numbers = np.clip(values, -MAX_COEFFICIENT // steps + 1, MAX_COEFFICIENT // steps)
+    payload = encode_frame(numbers.tolist(), quality, is_still=is_still)
+    coefficients, was_still = decode_frame(payload)
+    np.testing.assert_array_equal(coefficients, numbers * steps)
     assert was_still == is_still
 
 
@@ -86,16 +82,16 @@ def test_a_still_face_falls_silent_with_a_heartbeat() -> None:
 
 def test_a_still_frame_is_one_quality_finer() -> None:
     publisher = rested(toy_faces(1, 60)[20], 60, quality=0)
-    coefficients, is_still = decode_frame(toy_profile(), publisher.sent[-1].payload)
+    coefficients, is_still = decode_frame(publisher.sent[-1].payload)
     assert is_still
-    assert not np.any(coefficients % steps_of(1, toy_profile().num_components))
-    assert np.any(coefficients % steps_of(0, toy_profile().num_components))
+    assert not np.any(coefficients % steps_of(1))
+    assert np.any(coefficients % steps_of(0))
 
 
 def test_a_movement_ends_the_silence_at_once_and_for_everybody() -> None:
     face = toy_faces(1, 60)[0]
     publisher = rested(face, 60)
-    moved = publisher.show(face + 2.0, NO_POSE, 60 * FRAME_US)
+    moved = publisher.show(face + 0.2, NO_POSE, 60 * FRAME_US)
     assert moved is not None
     assert moved.number % 4 == 0
     assert not moved.decoded().is_still
@@ -114,41 +110,56 @@ def test_a_restart_sends_a_still_face_again() -> None:
 def test_noise_below_the_dead_zone_does_not_keep_a_face_awake() -> None:
     rng, publisher, face = np.random.default_rng(0), Publisher(), toy_faces(1, 1)[0]
     for index in range(300):
-        publisher.show(face + rng.normal(0, 0.005, face.shape), NO_POSE, index * FRAME_US)
+        publisher.show(face + rng.normal(0, 0.0005, face.shape), NO_POSE, index * FRAME_US)
     assert len(publisher.sent) < 60
 
 
 def test_faces_far_beyond_the_model_are_clamped_not_refused() -> None:
     for quality in (0, 7):
-        sent = Publisher(quality=quality).show(np.full((8, 8, 4), 1e6), NO_POSE, 0)
+        sent = Publisher(quality=quality).show(np.full(NUM_ARKIT, 1e6), NO_POSE, 0)
         assert sent is not None
         assert np.linalg.norm(sent.decoded().latent) <= 128.1
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_value_that_is_not_finite_is_refused(value: float) -> None:
-    encoder = LatentEncoder(toy_profile())
+    encoder = LatentEncoder()
     with pytest.raises(LatentError, match="not finite"):
-        encoder.encode(np.full((8, 8, 4), value), STILL, STILL, 0)
+        encoder.encode(np.full(NUM_ARKIT, value), STILL, STILL, 0)
     with pytest.raises(LatentError, match="not finite"):
-        encoder.encode(np.zeros((8, 8, 4)), [value, 0, 0], STILL, 0)
+        encoder.encode(np.zeros(NUM_ARKIT), [value, 0, 0], STILL, 0)
 
 
 def test_another_shape_is_refused_by_name() -> None:
-    encoder = LatentEncoder(toy_profile())
-    with pytest.raises(ShapeError, match=r"latent is \(256,\)"):
-        encoder.encode(np.zeros(256), STILL, STILL, 0)
+    encoder = LatentEncoder()
+    with pytest.raises(ShapeError, match=r"arkit is \(51,\)"):
+        encoder.encode(np.zeros(51), STILL, STILL, 0)
 
 
 def test_a_sender_saves_bytes_and_stays_within_a_step() -> None:
-    profile = toy_profile()
-    steps = steps_of(DEFAULT_QUALITY, profile.num_components)
-    sizes = np.zeros(2)
+    steps, sizes = steps_of(DEFAULT_QUALITY), np.zeros(2)
     for face in toy_faces(5, 300):
-        exact = np.append(profile.analyse(face.reshape(-1)), np.zeros(NUM_POSE, np.int64))
-        nearest = quantise(exact, steps)
-        spared = nearest.copy()
-        spare_bits(profile, exact[:-NUM_POSE], spared, int(steps[0]))
+        exact = np.append(np.rint(face / SHAPE_UNIT), np.zeros(6)).astype(np.int64)
+        nearest = np.rint(exact / steps).astype(int).tolist()
+        spared = quantise(exact, DEFAULT_QUALITY)
         assert (np.abs(spared * steps - exact) < steps).all()
-        sizes += [len(encode_frame(profile, q, DEFAULT_QUALITY)) for q in (nearest, spared)]
+        sizes += [len(encode_frame(numbers, DEFAULT_QUALITY)) for numbers in (nearest, spared)]
     assert sizes[1] < 0.98 * sizes[0]
+
+
+def test_a_face_that_is_alike_on_both_sides_costs_little_more_than_one_side() -> None:
+    left = np.zeros(len(COEFFICIENTS), int)
+    left[[first for first in FIRST_SIDES if first >= 0]] = 5
+    both = left.copy()
+    both[:NUM_ARKIT] = [
+        5 if first >= 0 else value for value, first in zip(left, FIRST_SIDES, strict=False)
+    ]
+    sizes = [len(encode_frame(each.tolist(), DEFAULT_QUALITY)) for each in (left, both)]
+    assert sizes[1] < 0.8 * sizes[0]
+
+
+def test_a_second_side_below_none_is_refused() -> None:
+    below = [0] * len(COEFFICIENTS)
+    below[FIRST_SIDES.index(0)] = -1  # less than a first side that is 0
+    with pytest.raises(LatentError, match="negative"):
+        decode_frame(encode_frame(below, DEFAULT_QUALITY))

@@ -18,12 +18,11 @@ from pica_core.errors import CaptureError, TrainingError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
-from pica_core.train.evaluate import ModelEvaluator, evaluate, mean_mse
+from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import (
     EVALUATION_FILE,
     joint_map,
     make_avatar,
-    make_stream_profile,
     model_card,
 )
 from pica_core.train.lod.levels import add_levels
@@ -90,9 +89,6 @@ class ExportOptions:
     """Name to show."""
     licence: str = "Apache-2.0"
     """Licence of the avatar."""
-    stream: bool = True
-    """Learn the tables of the latent stream (a minute or two). Without them the avatar cannot
-    be sent."""
     levels: bool = True
     """Fit levels of detail (a minute or two). Without them far heads cost as much as near
     ones."""
@@ -161,10 +157,6 @@ def export(options: ExportOptions) -> dict[str, Any]:
             start=start,
         )
         tensors = dict(avatar.tensors)
-        if options.stream:
-            print("learning the latent stream", file=sys.stderr)
-            profile = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
-            tensors |= profile.to_tensors()
         if options.levels:
             tensors |= add_levels(avatar, show=lambda text: print(text, file=sys.stderr)).tensors
     avatar = replace(avatar, tensors=tensors)
