@@ -12,9 +12,14 @@ const picture = () => new Promise((resolve) => requestAnimationFrame(() => {
   for (let at = 0; at < pixels.length; at += 4) [red, green, blue, alpha].forEach((found, k) => found.add(pixels[at + k]));
   resolve({ colours: red.size, alphas: [...alpha] });
 }));
+// Whether the middle of a label's disc is what is seen there.
+const showsDisc = (label) => {
+  const { left, top, width, height } = label.firstElementChild.getBoundingClientRect();
+  return width > 0 && label.contains(document.elementFromPoint(left + width / 2, top + height / 2));
+};
 const labels = () => [...document.querySelectorAll("#labels button")].map((each) => ({
   text: [...each.children].slice(1).map((part) => part.textContent).join(""), isSpeaking: each.classList.contains("speaking"),
-  isFaceless: each.classList.contains("faceless"), isPinned: each.getAttribute("aria-pressed") === "true",
+  isFaceless: showsDisc(each), isPinned: each.getAttribute("aria-pressed") === "true",
 }));
 
 async function until(holds) {
