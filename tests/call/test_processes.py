@@ -92,7 +92,7 @@ def test_no_process_of_ours_runs_a_module_that_lies_in_the_current_folder(
         Path(name).write_text("open('was-run', 'w')\nfrom not_ours import everything\n")
     children.start_relay()
     sound = SoundProcess()
-    sound.seat(["ann"])
+    sound.set_volumes({})
     sound.close()
     assert not Path("was-run").exists()
 

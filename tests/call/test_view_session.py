@@ -61,7 +61,7 @@ class ScreenlessWindow:
 def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[Event]], None]:
     def prepare(happened: list[Event]) -> None:
         monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
-        monkeypatch.setattr("pica_client.ui.session.Window", ScreenlessWindow)
+        monkeypatch.setattr("pica_client.ui.lobby.Window", ScreenlessWindow)
 
     return prepare
 
@@ -136,10 +136,10 @@ def test_a_stay_begins_without_what_held_for_the_people_of_another(
     library: AvatarLibrary, relay_url: str
 ) -> None:
     state = state_at(relay_url)
-    state.barred = {"eve": "Eve"}
-    state.side = "settings"
+    state.volumes, state.barred = {1: 0.0}, {"eve": "Eve"}
+    state.side, state.is_talking = "settings", True
     assert view_calls(HEADLESS, state, library)["frames_rendered"] > 0
-    assert (state.barred, state.side) == ({}, "none")
+    assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
 
 
 def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(

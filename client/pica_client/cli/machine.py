@@ -18,6 +18,11 @@ from pica_command.table import install_line, modules_by_extra
 from pica_core.errors import GraphicsError
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DoctorOptions:
+    """Options of `pica doctor`; there are none."""
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One line of the examination."""
@@ -34,9 +39,9 @@ class Finding:
         return f"{self.level:8} {self.subject}: {self.detail}{fix}"
 
 
-def doctor() -> dict[str, Any]:
+def doctor(options: DoctorOptions) -> dict[str, Any]:
     """Report what this machine can do, and how to fix what it lacks."""
-    findings = examine()
+    findings = examine(has_display=has_display())
     for finding in findings:
         say(finding.line)
     return {"findings": [asdict(finding) for finding in findings]}
@@ -49,14 +54,18 @@ def load_module(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def examine(load: Callable[[str], Any] = load_module) -> list[Finding]:
-    """Look at every extra and every device."""
+def examine(load: Callable[[str], Any] = load_module, *, has_display: bool) -> list[Finding]:
+    """Look at every extra and every device.
+
+    Args:
+        has_display: A window can be expected to open.
+    """
     extras = {name: found for name, found in modules_by_extra().items() if found and name != "all"}
     return [
         *(_extra(name, modules, load) for name, modules in extras.items()),
         _graphics(load),
         _training_device(load),
-        _display(),
+        _display(has_display),
     ]
 
 
@@ -110,8 +119,8 @@ def _training_device(load: Callable[[str], Any]) -> Finding:
     return Finding("CUDA", "missing", f"{about} finds none and trains on the CPU")
 
 
-def _display() -> Finding:
-    if has_display():
+def _display(is_there: bool) -> Finding:
+    if is_there:
         return Finding("display", "ready", "the environment names one; it was not tried")
     fix = "set DISPLAY or WAYLAND_DISPLAY, or use --headless" if sys.platform == "linux" else ""
     return Finding("display", "missing", "none", fix)

@@ -33,7 +33,10 @@ from pica_core.types import FloatArray
 LOW_FPS: Final = 20.0
 LONG_GAP_MS: Final = 150.0
 CONSTANT: Final = 1e-4
-"""A head that turns by less than this in all the time never turns."""
+"""A shape that moves by less than this in all the time never moves."""
+SHIFTED_AT_REST: Final = 0.15
+"""Fifth percentile of a shape above this: the face at rest is not at rest."""
+MANY_CONSTANT: Final = 5
 NAMED_SHAPES: Final = 6
 """Names in a hint before it says how many more."""
 POLL_S = 0.1
@@ -155,6 +158,9 @@ def _hints(report: dict[str, Any], kind: str, trouble: str) -> list[str]:
         hints.append("gaps above 150 ms: use a cable or 5 GHz Wi-Fi, near to the access point")
     if missing := [name for name in ARKIT_NAMES if name not in shapes]:
         hints.append(f"not sent: {_named(missing)}; they stay at rest")
+    constant = [name for name, each in shapes.items() if each["max"] - each["min"] < CONSTANT]
+    if len(constant) >= MANY_CONSTANT:
+        hints.append(f"never move: {_named(constant)}; make faces while this runs")
     head = report["head"]
     if (
         kind != "webcam"

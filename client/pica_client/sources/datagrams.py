@@ -6,8 +6,9 @@ Blendshapes come one a message and hold from ``/VMC/Ext/Blend/Apply`` on. Perfec
 ARKit's names, in any case; a plain VRM model has vowels, blinks and smiles, which are translated
 into the shapes that do not come by their own name. Where Apply never comes, values hold as soon as
 a name comes again.
-Bones are Unity's, left-handed with the subject's left at -x: mirrored in x they are ours. Places of
-bones are offsets within the model, and say nothing of where the head is.
+Bones are Unity's, left-handed with the subject's left at -x: mirrored in x they are ours. Bones of
+the eyes are the gaze of a model that has no ARKit shapes for it. Places of bones are offsets within
+the model, and say nothing of where the head is.
 """
 
 import logging
@@ -32,7 +33,7 @@ from pica_client.sources.live_face import (
     rotation_vector_from_yaw_pitch_roll,
     turned,
 )
-from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.arkit import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW, NUM_ARKIT
 from pica_core.types import FloatArray
 
 LIVELINK_PORT: Final = 11111
@@ -178,7 +179,9 @@ VRM_SHAPES: Final[dict[str, dict[str, float]]] = {
 """What a plain VRM expression at 1 is in ARKit's shapes, by its name in lower case; chosen by
 eye."""
 KNOWN_NAMES: Final = INDEX_BY_FOLDED_NAME.keys() | VRM_SHAPES.keys()
-BONES: Final = ("Head", "Neck")
+EYES: Final = {"LeftEye": ("Left", 1.0), "RightEye": ("Right", -1.0)}
+"""Bones of the eyes: their shapes' side, and the sign of a turn outwards."""
+BONES: Final = ("Head", "Neck", *EYES)
 
 
 class VmcDecoder:
@@ -230,10 +233,27 @@ class VmcDecoder:
     def _sample(self) -> TrackerSample:
         self._round.clear()
         values = _from_vrm(self._values) | self._values
+        if not any(name.startswith("eyelook") for name in values):
+            values |= self._gaze()
         rotation = turned(self._turns.get("Head", _STILL), self._turns.get("Neck", _STILL))
         return TrackerSample(
             tracker_s=self._tracker_s, arkit=arkit_from_names(values), rotation=rotation
         )
+
+    def _gaze(self) -> dict[str, float]:
+        """ARKit's look shapes of the eyes' bones, as far as there are such."""
+        shapes: dict[str, float] = {}
+        for bone, (side, outwards) in EYES.items():
+            if bone in self._turns:
+                down, left, _ = self._turns[bone].tolist()
+                out = outwards * left / EYE_YAW
+                shapes |= {
+                    f"eyeLookOut{side}": max(out, 0.0),
+                    f"eyeLookIn{side}": max(-out, 0.0),
+                    f"eyeLookUp{side}": max(-down / EYE_PITCH_UP, 0.0),
+                    f"eyeLookDown{side}": max(down / EYE_PITCH_DOWN, 0.0),
+                }
+        return {name: min(value, 1.0) for name, value in shapes.items()}
 
 
 _STILL: Final[FloatArray] = np.zeros(3, np.float32)

@@ -25,6 +25,8 @@ from pica_protocol.messages import Moderation
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
+TALK_KEY = imgui.Key.space
+"""Held to be heard, where the settings say so."""
 
 
 class Action(Enum):
@@ -38,6 +40,7 @@ class Action(Enum):
     PARTICIPANTS = auto()
     SETTINGS = auto()
     HELP = auto()
+    FULL_SCREEN = auto()
     CLOSE = auto()
     """Close what is open, or ask whether to leave."""
     COPY_INVITATION = auto()
@@ -147,6 +150,7 @@ ACTIONS: Final[dict[Action, Row]] = {
         off=(icons.ICON_FA_CIRCLE, "Record", "plain"),
         on=(icons.ICON_FA_SQUARE, "Stop recording", "alert"),
     ),
+    Action.FULL_SCREEN: Row(keys=(_KEY.f11,), title="full screen"),
     Action.SETTINGS: _panel("settings", icons.ICON_FA_GEAR, _KEY.o),
     Action.HELP: _panel("help", icons.ICON_FA_CIRCLE_QUESTION, _KEY.h, _KEY.f1),
     Action.CLOSE: Row(
@@ -191,6 +195,7 @@ def help_lines(state: ViewState) -> tuple[tuple[str, str], ...]:
         ("drag", "look around"),
         ("wheel", "come closer, go back"),
         ("click", "pin a participant, or not"),
+        (imgui.get_key_name(TALK_KEY), "hold to talk, if set so"),
         *keys,
     )
 
@@ -199,6 +204,7 @@ def keyboard(state: ViewState) -> None:
     """Read the keys of this frame, unless a text is being typed."""
     io = imgui.get_io()
     is_typed = io.want_text_input
+    state.is_talking = imgui.is_key_down(TALK_KEY) and not is_typed
     if io.key_ctrl or io.key_super:
         return  # the desktop's own
     if state.asks_to_leave and not is_typed and imgui.is_key_pressed(_KEY.enter, repeat=False):

@@ -1,12 +1,13 @@
 """The voices of a call as the window needs them: the user's, those of others, the devices."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from pica_client.call.call import Call
+from pica_client.call.roster import Member
 from pica_client.stats import summarise_ms
 from pica_client.ui.state import Sent, ViewState
 from pica_client.voice.publisher import VoicePublisher
@@ -14,6 +15,10 @@ from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings, SoundState
 from pica_client.voice.sound.soundtrack import Soundtrack
 from pica_core.types import FloatArray
+
+TAIL_S = 0.2
+"""How long the user is heard after letting go of the key to talk: a key goes up with the last word
+(chosen)."""
 
 
 class CallSound:
@@ -29,6 +34,8 @@ class CallSound:
     ) -> None:
         self._own, self._sound = own, sound
         self._set: SoundSettings | None = None
+        self._volumes: Mapping[str, float] = {}
+        self._talked_s = -TAIL_S
         self._trouble = ""
 
     @property
@@ -45,15 +52,26 @@ class CallSound:
         voices = {} if self._sound is None else self._sound.state.voices
         return {peer_id: voice.level for peer_id, voice in voices.items()}
 
-    def follow(self, wanted: ViewState) -> str:
+    def follow(self, wanted: ViewState, people: Iterable[Member], now: float) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
-            self._own.is_muted = wanted.own_voice != "sent"
+            if wanted.is_heard:
+                self._talked_s = now
+            ends_softly = wanted.own_voice == "sent" and now - self._talked_s < TAIL_S
+            self._own.is_muted = not (wanted.is_heard or ends_softly)
         if self._sound is None:
             return ""
         if wanted.sound != self._set:
             self._set = wanted.sound
             self._sound.follow(wanted.sound)
+        volumes = {
+            person.peer_id: wanted.volumes[person.place]
+            for person in people
+            if person.place in wanted.volumes
+        }
+        if volumes != self._volumes:
+            self._volumes = volumes
+            self._sound.set_volumes(volumes)
         before, self._trouble = self._trouble, self._sound.state.trouble
         return self._trouble if self._trouble != before else ""
 

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus, notices
 from pica_client.render.scene import NEAR_M, Rect, common_px
 from pica_client.render.seats import FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
 from pica_client.ui.call_view import (
+    UNKNOWN,
     CallView,
     NoticeBoard,
     OwnFaceView,
@@ -39,7 +39,6 @@ from pica_client.ui.widgets import screen
 from pica_client.voice.sound.settings import SoundState
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
-from pica_protocol.messages import Peer
 
 PANELS: tuple[Panel, ...] = (
     names,
@@ -141,16 +140,18 @@ class CallSurface:
         people = []
         for face, label in zip(scene.faces, labels, strict=True):
             peer_id = face.peer_id
-            member = members.get(peer_id) or Member(peer=Peer(peer_id=peer_id, name=face.name))
+            member = members.get(peer_id, UNKNOWN)
             if label is not None:
                 left, top, right, bottom = (side / pixels for side in label)
                 label = (left, top, right, bottom)
             people.append(
                 PersonView(
-                    member=member,
+                    peer_id=peer_id,
+                    name=face.name,
                     remark=problems.get(peer_id) or face.note or member.line,
                     is_speaking=peer_id in speaking,
                     label=label,
+                    member=member,
                 )
             )
         return tuple(people)

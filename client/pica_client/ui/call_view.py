@@ -18,7 +18,10 @@ from pica_client.render.scene import Rect
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import Tone
 from pica_client.voice.sound.settings import SoundState
+from pica_protocol.messages import Peer
 
+UNKNOWN: Final = Member(peer=Peer(peer_id="unknown", name="unknown"))
+"""Stands for a participant whom the list does not have yet."""
 NOTICE_S: Final = 6.0
 """How long a notice stands (chosen: a line of twenty words is read)."""
 MAX_NOTICES: Final = 3
@@ -50,13 +53,15 @@ class NoticeBoard:
 class PersonView:
     """All that is shown of one participant."""
 
-    member: Member
-    """As of the last look at the room."""
+    peer_id: str
+    name: str
     remark: str = ""
     """What is wrong with the avatar, the face or the connection; empty when all is well."""
     is_speaking: bool = False
     label: Rect | None = None
     """The part of the surface that the name may fill, from its upper edge on; None: nowhere."""
+    member: Member = UNKNOWN
+    """As of the last look at the room."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -20,6 +20,7 @@ from pica_client.avatars.upload import avatar_by_name
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
+from pica_client.system import Closing
 from pica_client.transport.connect import LinkConfig
 from pica_client.ui import widgets
 from pica_client.ui.settings import SOURCES, microphone_picker
@@ -141,21 +142,30 @@ def follow_invite(state: ViewState, link: str) -> None:
     state.url, state.room, state.token = invite.url, invite.room, invite.token
 
 
-class Lobby:
-    """An empty room in a window, and panels over it.
+class Lobby(Closing):
+    """A window with an empty room, and panels over it.
 
     Args:
+        size: Columns and rows to open with, in the screen's units.
         sound: Has the microphones to choose from.
 
+    Attributes:
+        window: Stays open until the lobby is closed.
+
     Raises:
+        GraphicsError: There is no display, or no context on it.
         ShaderError: The driver refuses our shaders.
     """
 
-    def __init__(self, window: Window, library: AvatarLibrary, sound: SoundProcess) -> None:
-        self.window = window
+    def __init__(self, size: tuple[int, int], library: AvatarLibrary, sound: SoundProcess) -> None:
+        self.window = window = Window(size)
         self._library, self._sound = library, sound
         self._wants_close = False
         self._renderer = Renderer(window.context, window.size_px, RenderOptions())
+
+    def close(self) -> None:
+        """Close the window."""
+        self.window.close()
 
     def ask(self, form: JoinForm) -> bool:
         """Show the form until the user wants to join, True, or to leave."""

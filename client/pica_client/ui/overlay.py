@@ -12,7 +12,7 @@ from imgui_bundle import imgui
 from pica_client.call.status import duration_text, joined_names, recorders
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
-from pica_client.ui.actions import ACTIONS, Action, Row
+from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Row
 from pica_client.ui.call_view import CallView, Line, PersonView
 from pica_client.ui.side import side_share
 from pica_client.ui.state import ViewState
@@ -92,7 +92,7 @@ def _name(person: PersonView, label: Rect) -> None:
     room = right - left - 2 * px(NAME_PADDING[0])
     is_narrow = right - left < px(NOTE_ROOM_PT)
     points = SMALL_PT if is_narrow else TEXT_PT
-    shown = person.member.name
+    shown = person.name
     if person.member.is_voice_muted:
         shown = f"{icons.ICON_FA_MICROPHONE_SLASH} {shown}"
     before = 0 if tone == "plain" else px(DOT_PT)
@@ -100,7 +100,7 @@ def _name(person: PersonView, label: Rect) -> None:
     remark = "" if is_narrow else shortened(person.remark, 2.5 * room, SMALL_PT)
     width = max(text_size(name, points)[0] + before, text_size(remark, SMALL_PT)[0])
     place = ((left + right) / 2, top)
-    with _plate(f"name {person.member.peer_id}", place, (0.5, 0.0), min(width, room)):
+    with _plate(f"name {person.peer_id}", place, (0.5, 0.0), min(width, room)):
         _dotted(name, tone, points)
         if remark:
             note(remark, wrap=room)
@@ -184,6 +184,10 @@ def own_signs(state: ViewState, call: CallView) -> list[Line]:
         found.append(("Your face is not sent", "alert"))
     if state.own_voice == "muted":
         found.append(("Your voice is muted", "alert"))
+    elif state.own_voice == "sent" and state.sound.push_to_talk:
+        key = imgui.get_key_name(TALK_KEY)
+        is_heard = state.is_talking
+        found.append(("You are heard", "good") if is_heard else (f"Hold {key} to talk", "warning"))
     return found
 
 

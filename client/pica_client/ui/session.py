@@ -135,9 +135,7 @@ def view_calls(
     with closing(SoundProcess(state.sound)) as sound, ExitStack() as stack:
         lobby = None
         if not options.headless:
-            window = Window(state.window_size)
-            stack.callback(window.close)
-            lobby = Lobby(window, library, sound)
+            lobby = stack.enter_context(Lobby(state.window_size, library, sound))
         while lobby is None or kept is None or lobby.ask(form):
             try:
                 result = stay(options, state, library, sound, lobby)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from pica_client.sources.source import PERFORMANCES
+from pica_client.ui.actions import TALK_KEY
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
 from pica_client.ui.widgets import TONES, Tone, choice_of, note, px
@@ -15,6 +16,7 @@ NO_VOICE, MICROPHONE = "none", "mic"
 """Voices, as `voice.source.open_voice` names them."""
 SOFTEST_DB, LOUD_DB = 60, 4
 """Where a meter begins, and what is too loud: decibels below full scale."""
+MAX_PERCENT = 200
 SYSTEMS_OWN = "The system's"
 SOURCES: tuple[tuple[str, str], ...] = (
     *((f"performance:{name}", f"Play: {name}") for name in PERFORMANCES),
@@ -54,7 +56,7 @@ def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool =
 
 
 def _sound(state: ViewState, sound: SoundState) -> None:
-    """Devices with their meters, and switches."""
+    """Devices with their meters, volume and switches."""
     settings = state.sound
     if state.own_voice != "none" and state.voice == MICROPHONE:
         note("Microphone")
@@ -66,10 +68,23 @@ def _sound(state: ViewState, sound: SoundState) -> None:
         else:
             _, cleans = imgui.checkbox("Take out echo and noise", settings.cleans)
             settings = replace(settings, cleans=cleans)
+        label = f"Hold {imgui.get_key_name(TALK_KEY)} to talk"
+        _, is_held = imgui.checkbox(label, settings.push_to_talk)
+        settings = replace(settings, push_to_talk=is_held)
     note("Loudspeaker")
     devices = _devices(sound.speakers, settings.speaker)
-    state.sound = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
+    settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
     _meter(sound.speaker_level, sound.speaker)
+    state.sound = replace(settings, volume=volume_slider("##volume", settings.volume))
+
+
+def volume_slider(label: str, volume: float, *, width: float = -1.0) -> float:
+    """Choose how loud a sound is, 0 to twice as loud as it comes."""
+    percent = round(100 * volume)
+    note(f"Volume {percent} %")
+    imgui.set_next_item_width(width)
+    has_changed, percent = imgui.slider_int(label, percent, 0, MAX_PERCENT, "")
+    return min(max(percent, 0), MAX_PERCENT) / 100 if has_changed else volume
 
 
 def _devices(names: Sequence[str], chosen: str, prefix: str = "") -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ from pica_client.call.status import duration_text
 from pica_client.ui import widgets
 from pica_client.ui.actions import Action, help_lines
 from pica_client.ui.call_view import CallView
-from pica_client.ui.settings import settings_tabs
+from pica_client.ui.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import (
     BAR_PT,
@@ -27,6 +27,7 @@ WAITING_PT = 380.0
 CLOSE_PT = 28.0
 CODE_PT = 19.0
 MENU_PT = 24.0
+VOLUME_PT = 180.0
 Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
@@ -120,14 +121,16 @@ def _participants(state: ViewState, call: CallView) -> None:
     _invitation(state, status.invitation)
 
 
-def signs_of(person: Member, *, is_encrypted: bool) -> list[Sign]:
+def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """Return what is shown beside a name."""
     is_muted_by_admin = "voice" in person.muted_kinds
     is_unverified = is_encrypted and not person.is_verified and not person.is_self
     mute = icons.ICON_FA_MICROPHONE_SLASH
+    loud = icons.ICON_FA_VOLUME_HIGH if volume else icons.ICON_FA_VOLUME_XMARK
     rows: tuple[tuple[bool, str, Tone, str], ...] = (
         (is_muted_by_admin, mute, "alert", "An admin has muted the voice"),
         (person.is_voice_muted and not is_muted_by_admin, mute, "alert", "Voice is muted"),
+        (volume != 1, loud, "plain", f"As loud as {volume:.0%} here"),
         (person.is_recording, icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here"),
         (person.face == "muted", icons.ICON_FA_EYE_SLASH, "plain", "Face is off"),
         (person.is_watching, icons.ICON_FA_EYE, "plain", "Watches, and shows no face"),
@@ -140,18 +143,17 @@ def signs_of(person: Member, *, is_encrypted: bool) -> list[Sign]:
 
 def _row(person: Member, state: ViewState, call: CallView) -> None:
     """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
-    signs = signs_of(person, is_encrypted=call.status.is_encrypted)
+    volume = state.volumes.get(person.place, 1.0)
+    signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
     gap = px(6)
     signs_width = sum(widgets.text_size(icon, TEXT_PT)[0] + gap for icon, _, _ in signs)
     imgui.table_next_row(0, px(MENU_PT + 6))
     imgui.table_next_column()
     lower = imgui.get_cursor_pos_y() + px(3)  # in the middle of the button's height
     imgui.set_cursor_pos_y(lower + px(3))
-    speaking = {each.member.peer_id for each in call.people if each.is_speaking}
+    speaks = any(each.peer_id == person.peer_id and each.is_speaking for each in call.people)
     with widgets.type_size(10):
-        imgui.text_colored(
-            TONES["good"], icons.ICON_FA_CIRCLE if person.peer_id in speaking else ""
-        )
+        imgui.text_colored(TONES["good"], icons.ICON_FA_CIRCLE if speaks else "")
     imgui.table_next_column()
     imgui.set_cursor_pos_y(lower)
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, px(2)))
@@ -182,6 +184,12 @@ def _menu(person: Member, state: ViewState, call: CallView) -> None:
             state.pin(person.place)
         if _item(icons.ICON_FA_ROTATE_LEFT, "Reset the view"):
             state.requests.append(Action.RESET_VIEW)
+        if person.has_voice:
+            imgui.separator()
+            before = state.volumes.get(person.place, 1.0)
+            volume = volume_slider("##volume", before, width=px(VOLUME_PT))
+            if volume != before:
+                state.volumes[person.place] = volume
         if call.status.is_admin:
             imgui.separator()
             _moderation(person, state)

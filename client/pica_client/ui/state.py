@@ -77,22 +77,31 @@ class ViewState(Preferences):
     """From where the people are seen."""
     pinned: int | None = None
     """The place of the person who fills the picture, also while that one is away."""
+    volumes: dict[int, float] = field(default_factory=dict)
+    """How loud people are here, by place; others are as loud as sent."""
     barred: dict[str, str] = field(default_factory=dict)
     """Names of those whom this admin has barred, by identity."""
     side: Side = "none"
     asks_to_leave: bool = False
     own_face: Sent = "none"
     own_voice: Sent = "none"
+    is_talking: bool = False
+    """Whether the key to talk is held."""
     is_recording: bool = False
     requests: list[Any] = field(default_factory=list)
     """What keys and panels ask for and was not done yet: `actions.Request`."""
 
+    @property
+    def is_heard(self) -> bool:
+        """Return True if the own voice is to be sent now."""
+        return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
+
     def enter(self) -> None:
         """Begin a stay in a room; forget what held for the people and the panels of another."""
         self.orbit, self.pinned, self.side = Orbit(), None, "none"
-        self.barred = {}
+        self.volumes, self.barred = {}, {}
         self.wants_close = self.asks_to_leave = False
-        self.is_recording = False
+        self.is_talking = self.is_recording = False
 
     def pin(self, place: int | None) -> None:
         """Pin a participant, or let go of the one who is pinned."""

@@ -211,7 +211,7 @@ class Viewer(Closing):
         self.surface.end()
         tasks += settle(state)
         self._follow_face()
-        if trouble := self._sound.follow(state):
+        if trouble := self._sound.follow(state, panels.status.participants, now):
             panels.notice(trouble, now)
         self._pool.wait_idle(DECODE_WAIT_S)
         self._presenter.collect(now)
@@ -379,6 +379,8 @@ class Viewer(Closing):
                 except (ClientError, ModuleNotFoundError) as error:  # a full disk ends no call
                     notice = str(error)
                 self._panels.notice(notice, now)
+            case Action.FULL_SCREEN if self._window is not None:
+                self._window.toggle_full_screen()
             case Action.COPY_INVITATION:
                 imgui.set_clipboard_text(self._panels.status.invitation)
                 self._panels.notice("Invitation copied", now)

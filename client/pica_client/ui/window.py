@@ -199,6 +199,7 @@ class Window(Closing):
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._complaint = "glfw gives no reason"
+        self._windowed: tuple[int, int, int, int] | None = None
         glfw.set_error_callback(self._note_error)
         with ExitStack() as stack:
             if not glfw.init():
@@ -249,8 +250,10 @@ class Window(Closing):
 
     @property
     def windowed_size(self) -> tuple[int, int] | None:
-        """Columns and rows in the screen's units; None while minimised."""
-        return None if glfw.get_window_attrib(self._window, glfw.ICONIFIED) else self.size
+        """Columns and rows in the screen's units; None in full screen and while minimised."""
+        if self._windowed is not None or glfw.get_window_attrib(self._window, glfw.ICONIFIED):
+            return None
+        return self.size
 
     def poll(self) -> bool:
         """Take what the user did since the last call; return False once they close the window."""
@@ -272,6 +275,23 @@ class Window(Closing):
         """Have the screen painted; waits for the display if that was asked for."""
         paint(self.context.screen)
         glfw.swap_buffers(self._window)
+
+    def toggle_full_screen(self) -> None:
+        """Fill the first monitor, or go back to where the window was."""
+        if self._windowed is not None:
+            left, top, width, height = self._windowed
+            no_monitor: Any = None
+            glfw.set_window_monitor(self._window, no_monitor, left, top, width, height, 0)
+            self._windowed = None
+            return
+        monitor = glfw.get_primary_monitor()
+        if not monitor:
+            return
+        self._windowed = (*glfw.get_window_pos(self._window), *glfw.get_window_size(self._window))
+        mode = glfw.get_video_mode(monitor)
+        glfw.set_window_monitor(
+            self._window, monitor, 0, 0, mode.size.width, mode.size.height, mode.refresh_rate
+        )
 
     def _note_error(self, code: int, message: bytes | str) -> None:
         text = message.decode(errors="replace") if isinstance(message, bytes) else message

@@ -63,17 +63,19 @@ class VoiceMixer:
     """Hears everybody.
 
     Attributes:
+        volume: Of all voices; 1 is as they come.
         level: Of the last mix, see `level_of`.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
             recording. float32 ``[FRAME_SAMPLES, 2]``.
     """
 
     def __init__(self, make_decoder: Callable[[], OpusDecoder] = OpusDecoder) -> None:
-        self.level = MAX_LEVEL
+        self.volume, self.level = 1.0, MAX_LEVEL
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
         self._make_decoder = make_decoder
         self._lock = threading.Lock()
         self._voices: dict[str, _Voice] = {}  # bounded by the room's seats
+        self._volumes: dict[str, float] = {}
         self._azimuths: dict[str, float] = {}
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
@@ -84,13 +86,19 @@ class VoiceMixer:
                 voice = self._voices[peer_id] = _Voice(self._make_decoder())
             voice.buffer.receive(packet, arrived_s)
 
+    def set_volumes(self, volumes: Mapping[str, float]) -> None:
+        """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""
+        with self._lock:
+            self._volumes |= volumes
+
     def seat(self, azimuths_rad: Mapping[str, float]) -> None:
         """Set the peers that are there and where each voice comes from, by peer id; positive is to
         the right. Others have left, and are forgotten."""
         with self._lock:
             self._azimuths = dict(azimuths_rad)
-            for peer_id in set(self._voices) - set(azimuths_rad):
-                del self._voices[peer_id]
+            for homes in (self._voices, self._volumes):
+                for peer_id in set(homes) - set(azimuths_rad):
+                    del homes[peer_id]
 
     def mix(self, now: float, latency_s: float = 0.0) -> FloatArray:
         """The next 20 ms for both ears, float32 ``[FRAME_SAMPLES, 2]`` in [-1, 1].
@@ -102,8 +110,10 @@ class VoiceMixer:
         mixed = np.zeros((FRAME_SAMPLES, 2))
         with self._lock:
             for peer_id, voice in self._voices.items():
-                mixed += voice.pull(now, latency_s, self._azimuths.get(peer_id, 0.0))
-        limited = limit(mixed).astype(np.float32)
+                azimuth_rad = self._azimuths.get(peer_id, 0.0)
+                volume = self._volumes.get(peer_id, 1.0)
+                mixed += volume * voice.pull(now, latency_s, azimuth_rad)
+        limited = limit(self.volume * mixed).astype(np.float32)
         self.level = level_of(limited)
         if self.on_mixed is not None:
             self.on_mixed(limited, now + latency_s)

@@ -86,9 +86,8 @@ def load(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def test_the_doctor_names_the_fix_for_each_lack(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pica_client.cli.machine.has_display", lambda: False)
-    findings = {finding.subject: finding for finding in examine(load)}
+def test_the_doctor_names_the_fix_for_each_lack() -> None:
+    findings = {finding.subject: finding for finding in examine(load, has_display=False)}
     assert findings["extra send"].level == "ready"
     assert findings["extra view"].fix == install_line("view")
     assert "moderngl" in findings["extra view"].detail

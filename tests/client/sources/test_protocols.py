@@ -111,6 +111,26 @@ def test_unitys_head_turned_to_the_subjects_left_turns_left_here() -> None:
     np.testing.assert_allclose(sample.rotation, [0, -math.radians(30), 0], atol=1e-6)
 
 
+def test_eye_bones_are_the_gaze_of_a_model_without_look_shapes() -> None:
+    # Unity's +10 degrees about y is to the subject's right; about x it is down.
+    half = math.radians(5)
+    right = (0.0, math.sin(half), 0.0, math.cos(half))
+    down = (math.sin(half), 0.0, 0.0, math.cos(half))
+    decoder = VmcDecoder()
+    (sample,) = decoder.decode(
+        tracker_packets.vmc({"A": 0.2}, bones={"LeftEye": right, "RightEye": right})
+    )
+    seen = {name: float(sample.arkit[ARKIT_INDEX[name]]) for name in ARKIT_NAMES}
+    assert seen["eyeLookInLeft"] == seen["eyeLookOutRight"] == pytest.approx(10 / 35, rel=1e-4)
+    assert seen["eyeLookOutLeft"] == seen["eyeLookInRight"] == 0
+    (sample,) = decoder.decode(tracker_packets.vmc({}, bones={"LeftEye": down}))
+    assert sample.arkit[ARKIT_INDEX["eyeLookDownLeft"]] == pytest.approx(10 / 28, rel=1e-4)
+    values = {"eyeLookUpLeft": 0.3}
+    (sample,) = decoder.decode(tracker_packets.vmc(values, bones={"LeftEye": down}))
+    assert sample.arkit[ARKIT_INDEX["eyeLookUpLeft"]] == pytest.approx(0.3)
+    assert np.isnan(sample.arkit[ARKIT_INDEX["eyeLookDownLeft"]])
+
+
 def test_ifacialmocap_says_where_the_head_is_and_nonsense_is_left_out() -> None:
     def place(*numbers: float) -> FloatArray | None:
         line = tracker_packets.ifacialmocap({"jawOpen": 1}, head=(0, 0, 0, *numbers))

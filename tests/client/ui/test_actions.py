@@ -20,6 +20,7 @@ from pica_client.ui.actions import (
 )
 from pica_client.ui.state import LAYOUT_TITLES, ViewState
 from pica_client.ui.window import Surface
+from pica_client.voice.sound.settings import SoundSettings
 
 pytestmark = pytest.mark.unit
 
@@ -71,6 +72,18 @@ def test_the_help_shows_every_titled_key_with_its_title(controls: Controls) -> N
         if row.title:
             assert shown[", ".join(row.key_names)] == row.title
     assert shown["Escape, Q"] == "close, or leave"
+
+
+def test_the_key_to_talk_is_held(controls: Controls) -> None:
+    state = controls.state = ViewState(own_voice="sent", sound=SoundSettings(push_to_talk=True))
+    heard = []
+    for events in ((), (press(KEY.space),), (), (press(KEY.space, is_down=False),)):
+        controls.frame(*events)
+        heard.append(state.is_heard)
+    assert heard == [False, True, True, False]
+    controls.press(KEY.t)
+    controls.frame(press(KEY.space))
+    assert not state.is_heard  # a muted voice is not heard by a key
 
 
 def test_panels_open_and_close_by_key(controls: Controls) -> None:

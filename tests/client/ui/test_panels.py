@@ -54,7 +54,7 @@ STATUS = CallStatus(
 STATE = ViewState(own_face="sent")
 LISTED = replace(STATE, side="participants")
 SETTINGS = replace(STATE, side="settings")
-CALL = CallView(people=(PersonView(member=ADA, is_speaking=True),), status=STATUS)
+CALL = CallView(people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),), status=STATUS)
 AS_ADMIN = replace(CALL, status=replace(STATUS, is_admin=True))
 ALONE = CallView(status=replace(STATUS, participants=(ME,)))
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 2.0)]
@@ -150,7 +150,7 @@ def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
 
 
 def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
-    person = replace(CALL.people[0], member=ada(name="W" * 64), remark="x y " * 90)
+    person = replace(CALL.people[0], name="W" * 64, is_speaking=True, remark="x y " * 90)
     for room in ((100.0, 50.0, 160.0, 70.0), (100.0, 50.0, 300.0, 70.0)):
         call = replace(CALL, people=(replace(person, label=room),))
         for _ in range(3):
@@ -213,10 +213,14 @@ def clicking(
     return list(state.requests)
 
 
-def test_the_menu_of_a_person_pins(hand: Hand) -> None:
-    state = replace(LISTED)
+def test_the_menu_of_a_person_pins_and_makes_them_softer(hand: Hand) -> None:
+    state = replace(LISTED, volumes={})
     clicking(hand, side_panel, state, CALL, "More on Ada", "Pin")
     assert state.pinned == 3
+    state.volumes[3] = 0.0
+    clicking(hand, side_panel, state, CALL, "More on Ada", "##volume")
+    hand.press(imgui.Key.escape, lambda: side_panel(state, CALL))
+    assert state.volumes == {3: pytest.approx(1.0, abs=0.05)}
     clicking(hand, side_panel, state, CALL, "More on Ben")
     assert not any("Pin" in label or "More on Me" in label for label in hand.places)
 
@@ -234,21 +238,24 @@ def test_all_participants_are_listed_with_what_is_said_of_them(hand: Hand) -> No
 
 
 @pytest.mark.parametrize(
-    ("person", "is_encrypted", "signs"),
+    ("person", "volume", "is_encrypted", "signs"),
     [
-        (BEN, False, ["CIRCLE", "EYE"]),
+        (BEN, 1, False, ["CIRCLE", "EYE"]),
         (
             ada(metadata=(("face", "muted"),), is_name_assured=True),
+            1,
             True,
             ["EYE_SLASH", "TRIANGLE_EXCLAMATION", "CHECK"],
         ),
-        (replace(ADA, is_verified=True), True, ["LOCK"]),
-        (ada(metadata=(("voice", "muted"),)), False, ["MICROPHONE_SLASH"]),
-        (ME, True, []),
+        (replace(ADA, is_verified=True), 0.5, True, ["VOLUME_HIGH", "LOCK"]),
+        (ada(metadata=(("voice", "muted"),)), 0, False, ["MICROPHONE_SLASH", "VOLUME_XMARK"]),
+        (ME, 1, True, []),
     ],
 )
-def test_signs_beside_a_name(person: Member, is_encrypted: bool, signs: list[str]) -> None:
-    found = signs_of(person, is_encrypted=is_encrypted)
+def test_signs_beside_a_name(
+    person: Member, volume: float, is_encrypted: bool, signs: list[str]
+) -> None:
+    found = signs_of(person, is_encrypted=is_encrypted, volume=volume)
     assert [icon for icon, _, _ in found] == [getattr(icons, f"ICON_FA_{sign}") for sign in signs]
 
 
@@ -302,9 +309,9 @@ def test_devices_are_changed_during_a_call(hand: Hand) -> None:
     call = CallView(sound=sound)
     clicking(hand, side_panel, state, call, "Sound")
     assert "no loudspeaker 'Old'" in texts(hand, side_panel, call, state)
-    labels = ("##microphone", "Desk", "##speaker", "Horn")
+    labels = ("##microphone", "Desk", "##speaker", "Horn", "Hold Space")
     clicking(hand, side_panel, state, call, *labels)
-    chosen = SoundSettings(microphone="Desk", speaker="Horn")
+    chosen = SoundSettings(microphone="Desk", speaker="Horn", push_to_talk=True)
     assert state.sound == chosen
     assert state.voice == "mic"
     listening = replace(state, own_voice="none")

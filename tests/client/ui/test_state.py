@@ -15,7 +15,7 @@ from pica_client.voice.sound.settings import SoundSettings
 pytestmark = pytest.mark.unit
 
 KEPT = ViewState(
-    sound=SoundSettings(speaker="Horn", cleans=False),
+    sound=SoundSettings(speaker="Horn", volume=0.5, push_to_talk=True),
     voice="mic",
     layout="table",
     window_size=(1280, 720),
@@ -33,7 +33,7 @@ def kept(tmp_path: Path) -> PreferencesFile:
 
 
 def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: PreferencesFile) -> None:
-    kept.save(replace(KEPT, token="abc", pinned=2, side="help"))
+    kept.save(replace(KEPT, token="abc", pinned=2, side="help", volumes={1: 0.5}))
     assert kept.load() == KEPT
     assert "abc" not in kept.path.read_text()
 
@@ -46,7 +46,7 @@ def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: Preferen
         '{"layout": "pyramid"}',
         '{"window_size": [0, 5, 7]}',
         '{"window_size": null}',
-        '{"sound": 5}',
+        '{"sound": {"volume": 9}}',
         "[" * 20_000,
     ],
 )

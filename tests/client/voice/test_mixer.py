@@ -45,6 +45,13 @@ def test_a_voice_that_moves_makes_no_click():
     assert steps.max() < 1.5 * np.abs(np.diff(sound)).max()
 
 
+def test_a_volume_of_nothing_mutes_one_person_alone():
+    mixer = mixer_of(hum(3))
+    mixer.set_volumes({"ann": 0.0})
+    assert np.std(heard(mixer, ["ann"])) == 0
+    assert np.std(heard(mixer, ["ann", "ben"])) > 0.05
+
+
 def test_many_loud_voices_are_bent_and_never_cut():
     loud = 3 * np.sin(np.linspace(0, 50, 5000))
     bent = limit(loud)

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -77,6 +77,10 @@ class SoundProcess:
         azimuths_rad = dict(zip(peer_ids, (WIDTH_RAD * places).tolist(), strict=False))
         if self._lasting.get("seat") != (azimuths_rad,):
             self._last("seat", azimuths_rad)
+
+    def set_volumes(self, volumes: Mapping[str, float]) -> None:
+        """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""
+        self._last("set_volumes", dict(volumes))
 
     def hand_mix_to(self, on_mixed: Callable[[FloatArray, float], None] | None) -> None:
         """Give something what is mixed from now on and when it leaves the loudspeaker, as

@@ -7,6 +7,8 @@ from typing import Final
 from pica_client.voice.jitter_buffer import JitterBufferReport, Moment
 from pica_client.voice.opus import MAX_LEVEL
 
+MAX_VOLUME: Final = 4.0
+"""Largest volume of one voice or of all: 12 dB."""
 NO_DEVICE: Final = "none"
 """The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
 NO_LIBRARY: Final = "no sound system: SoundCard is not installed; install the extra voice"
@@ -20,9 +22,17 @@ class SoundSettings:
     """The microphone by its name; empty is the system's."""
     speaker: str = ""
     """The loudspeaker by its name; empty is the system's, ``none`` plays without a sound."""
+    volume: float = 1.0
+    """How loud all voices are, 0 to `MAX_VOLUME`; 1 is as sent."""
     cleans: bool = True
     """Whether echo and noise are taken out of the microphone, and its loudness is evened out, where
     the extra ``echo`` is installed."""
+    push_to_talk: bool = False
+    """Whether the own voice is sent only while a key is held."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.volume <= MAX_VOLUME:
+            raise ValueError(f"volume is {self.volume!r}; 0 to {MAX_VOLUME:g}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,12 +112,12 @@ class EchoCanceller:
 
 class SoundWorker:
     """The sound of one call; its methods are for one thread. What is said of voices goes straight
-    to the mixer: `receive`, `seat`."""
+    to the mixer: `receive`, `seat`, `set_volumes`."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
         self._mixer = mixer = VoiceMixer()
-        self.receive, self.seat = mixer.receive, mixer.seat
+        self.receive, self.seat, self.set_volumes = mixer.receive, mixer.seat, mixer.set_volumes
         self._loudspeaker = Loudspeaker(self._mixer)
         self._loudspeaker.on_played = self._played
         self._microphone: Microphone | None = None
@@ -138,6 +138,7 @@ class SoundWorker:
 
     def follow(self, settings: SoundSettings, has_microphone: bool) -> None:
         """Do what the user has set; the microphone is opened only if one is wanted."""
+        self._mixer.volume = settings.volume
         self._loudspeaker.choose(settings.speaker)
         self._loudspeaker.start()
         if has_microphone and self._microphone is None:

@@ -156,6 +156,11 @@ def test_what_is_said_is_heard_seen_on_meters_and_followed_by_faces(sound: Sound
     heard_us = sound.heard_us("ann", now)
     assert heard_us is not None
     assert 0.0 < now - heard_us / 1e6 < 0.6
+    sound.set_volumes({"ann": 0.0})
+    say(sound, 0.5)
+    assert min(say(sound, 0.5)) > 100
+    sound.set_volumes({"ann": 1.0})
+    assert min(say(sound, 0.5)) < 40
     assert set(sound.state.voices) == {"ann"}
     sound.use_microphone(False)
 

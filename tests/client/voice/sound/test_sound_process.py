@@ -42,7 +42,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str],
 def test_sound_that_reads_nothing_any_more_is_ended(stand_in: Callable[[str], Path]) -> None:
     begun = stand_in("echo $$ > PIPE\nexec sleep 600")
     sound = SoundProcess()
-    sound.seat([f"peer {index}" for index in range(100_000)])  # more than a pipe holds
+    sound.set_volumes({f"peer {index}": 1.0 for index in range(100_000)})  # more than a pipe holds
     pid = int(begun.read_text())
     closing = threading.Thread(target=sound.close, daemon=True)
     closing.start()
@@ -58,7 +58,7 @@ def test_sound_that_begins_again_leaves_no_thread_of_the_process_before(
     begun = stand_in("echo > PIPE")
     monkeypatch.setattr("pica_client.voice.sound.process.RESTART_S", 0.0)
     sound = SoundProcess()
-    sound.seat(["ann"])
+    sound.set_volumes({})
     assert begun.read_text()
     assert begun.read_text()
     # A third start waits here until it is closed.
