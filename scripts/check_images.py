@@ -36,7 +36,7 @@ TIMEOUT_S = 900.0
 TRAIN_LINES = (
     "capture person --out capture --frames 12 --cameras 5 --size 96x72 --texture-size 64",
     "train --capture capture --out run --preset tiny --eval-frames 1",
-    "export --run run --capture capture --out avatar.pica --name Ada --no-stream --no-levels",
+    "export --run run --capture capture --out avatar.pica --name Ada --no-levels",
 )
 
 
