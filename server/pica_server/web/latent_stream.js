@@ -21,10 +21,13 @@ const TOTAL_BITS = 14;
 const TOTAL = 1 << TOTAL_BITS;
 const FULL_RANGE = 2 ** 48;
 const LEAST_RANGE = 2 ** 40;
-const MAX_PAYLOAD_BYTES = 512;
-const [HAS_FACE, HAS_POSE, IS_STILL] = [1, 2, 4];
+const MAX_PAYLOAD_BYTES = 1280;
+const [HAS_FACE, HAS_POSE, IS_STILL, HAS_REST] = [1, 2, 4, 8];
 const SHAPE_UNIT = 2 ** -12;
 const POSE_UNIT = 2 ** -14;
+const REST_UNIT = 2 ** -10;
+/** Coefficients of a frame without what is left of a latent. */
+const NUM_DRIVEN = NUM_ARKIT + 6;
 const MAX_SHAPE = 2;
 const MAX_COEFFICIENT = 1 << 16;
 /** Longer latents are shortened to this. */
@@ -35,24 +38,23 @@ const FINENESS = [36, 28, 21, 16, 12, 9, 6, 4];
 const DEFAULT_QUALITY = 3;
 /** A bit less is worth so much more squared error of a shape, in squared steps. */
 const BIT_PRICE = 0.15;
-/** Of the 52 shapes, the rotation and the translation. */
+/** Of the 52 shapes, the rotation, the translation, and what is left of a latent. */
 const USUAL_STEPS = [
   62, 70, 109, 97, 111, 200, 177, 62, 70, 97, 109, 111, 200, 177, 58, 90, 83, 15, 24, 49, 76, 55,
   56, 68, 68, 185, 185, 165, 165, 156, 156, 67, 106, 53, 93, 162, 162, 130, 130, 84, 84, 120, 120,
   78, 68, 68, 62, 165, 165, 66, 66, 200,
-  12, 12, 12, 2, 2, 2,
+  12, 12, 12, 2, 2, 2, ...Array(NUM_LATENT).fill(32),
 ];
 const TABLES = [
   4, 6, 4, 4, 5, 5, 5, 0, 0, 2, 2, 0, 0, 0, 3, 2, 2, 7, 4, 6, 4, 3, 3, 6, 1, 5, 0, 5, 0, 5, 0, 4, 5,
   6, 5, 5, 0, 5, 1, 6, 1, 4, 1, 6, 6, 1, 3, 5, 1, 6, 1, 2,
-  8, 8, 8, 9, 9, 9,
+  8, 8, 8, 9, 9, 9, ...Array(NUM_LATENT).fill(4),
 ];
 /** Which coefficient predicts each; -1 is none. */
 const FIRST = [
   -1, -1, -1, -1, -1, -1, -1, 0, 1, 3, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 23, -1,
   25, -1, 27, -1, 29, -1, -1, -1, -1, -1, 35, -1, 37, -1, 39, -1, 41, -1, -1, 44, -1, -1, 47, -1,
-  49, -1,
-  -1, -1, -1, -1, -1, -1,
+  49, -1, ...Array(6 + NUM_LATENT).fill(-1),
 ];
 const LENGTH_TABLES = [
   [15635, 410, 147, 94, 53, 22, 14, 1, 1, 1, 1, 1, 1, 1, 1, 1],
@@ -80,7 +82,7 @@ function tableOf(frequencies) {
 }
 
 const QUALITY_TABLE = tableOf([192, 192, 192, 11426, 3810, 191, 191, 190]);
-const HEADER_TABLE = tableOf([1, 4600, 2, 11450, 1, 59, 1, 270]);
+const HEADER_TABLE = tableOf([1, 4600, 2, 11440, 1, 59, 1, 270, 1, 1, 1, 3, 1, 1, 1, 1]);
 
 /** The symbols of one payload, in order. @param {Uint8Array} payload */
 function openPayload(payload) {
@@ -149,9 +151,9 @@ export function decodeFrame(payload) {
   const header = reader.symbol(HEADER_TABLE);
   /** @type {number[]} */
   const numbers = [];
-  FIRST.forEach((first, place) => {
+  FIRST.slice(0, header & HAS_REST ? FIRST.length : NUM_DRIVEN).forEach((first, place) => {
     const start = numbers[first] ?? 0;
-    const isCoded = header & (place < NUM_ARKIT ? HAS_FACE : HAS_POSE);
+    const isCoded = place >= NUM_DRIVEN || header & (place < NUM_ARKIT ? HAS_FACE : HAS_POSE);
     const length = isCoded ? reader.symbol(LENGTH_TABLES[TABLES[place]]) : 0;
     if (!length) return numbers.push(start);
     const sign = isSigned(place) && reader.uniform(1) ? -1 : 1;
@@ -171,12 +173,14 @@ export function decodeFrame(payload) {
 export function decodeFace(encode, payload) {
   const { coefficients, isStill } = decodeFrame(payload);
   const shapes = coefficients.slice(0, NUM_ARKIT).map((value) => value * SHAPE_UNIT);
-  const latent = encode(Float32Array.from(shapes));
+  const rest = coefficients.slice(NUM_DRIVEN);
+  const latent = encode(Float32Array.from(shapes))
+    .map((value, place) => value + (rest[place] ?? 0) * REST_UNIT);
   const length = Math.sqrt(latent.reduce((sum, value) => sum + value ** 2, 0));
   const shorter = Math.min(MAX_LENGTH / length, 1);
   const values = new Float32Array(NUM_VALUES);
   values.set(shorter < 1 ? latent.map((value) => value * shorter) : latent);
-  values.set(coefficients.slice(NUM_ARKIT).map((value) => value * POSE_UNIT), NUM_LATENT);
+  values.set(coefficients.slice(NUM_ARKIT, NUM_DRIVEN).map((value) => value * POSE_UNIT), NUM_LATENT);
   return { values, isStill };
 }
 

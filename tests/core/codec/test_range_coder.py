@@ -94,7 +94,7 @@ def test_the_slots_that_rounding_leaves_over_are_refused() -> None:
 @pytest.mark.parametrize(
     ("payload", "message"),
     [
-        (b"\1" * (MAX_PAYLOAD_BYTES + 1), "has 513 bytes; the limit is 512"),
+        (b"\1" * (MAX_PAYLOAD_BYTES + 1), "has 1281 bytes; the limit is 1280"),
         (b"\1\0", "ends with a zero byte"),
         (b"\0", "ends with a zero byte"),
     ],
