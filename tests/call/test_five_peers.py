@@ -33,7 +33,7 @@ PEERS = ("ada", "ben", "cho", "dee", "eve")
 ROOM = "kitchen"
 SECONDS = 15.0
 AVATARS = {seed * 64: make_toy_avatar(seed=int(seed)) for seed in "12"}
-FRAME_BYTES = 28 + 8
+FRAME_BYTES = 22 + 8
 """A frame of a toy avatar that talks, about, with its header."""
 
 
@@ -120,7 +120,7 @@ async def test_trouble_of_one_network_is_felt_where_it_is_and_nowhere_else() -> 
     watched, sent, relay_stats = await hold_call({"ben": jitter, "cho": thin})
     waits_ms = {name: watched.peer(name)["playout_delay_ms"] for name in PEERS}
     assert 45 <= waits_ms["ben"] <= 90  # an interval, and 95 % of the jitter
-    assert watched.peer("ben")["latents_per_s"] == pytest.approx(30, rel=0.01)
+    assert watched.peer("ben")["latents_per_s"] == pytest.approx(30, rel=0.02)
     assert watched.peer("ben")["concealed_ratio"] <= 0.02
     assert sent[PEERS.index("cho")]["replaced"] > 200
     assert 12 <= watched.peer("cho")["latents_per_s"] <= 18
@@ -128,7 +128,7 @@ async def test_trouble_of_one_network_is_felt_where_it_is_and_nowhere_else() -> 
     assert watched.delay_percentile("cho", 99) <= 1.3
     for name in set(PEERS) - {"ben", "cho"}:
         assert waits_ms[name] == pytest.approx(1000 / 30, abs=1)
-        assert watched.peer(name)["latents_per_s"] == pytest.approx(30, rel=0.01)
+        assert watched.peer(name)["latents_per_s"] == pytest.approx(30, rel=0.02)
         assert watched.peer(name)["concealed_ratio"] == 0
         assert watched.delay_percentile(name, 99) <= 0.0005
     assert watched.stats["errors"] == 0
@@ -139,7 +139,7 @@ async def test_trouble_of_one_network_is_felt_where_it_is_and_nowhere_else() -> 
 
 @in_virtual_time
 async def test_a_slow_receiver_gets_every_peer_at_a_lower_rate_within_bounded_delay() -> None:
-    slow = Wire(delay_s=0.03, rate_bps=0.6 * 5 * 30 * FRAME_BYTES * 8, queue_bytes=600)
+    slow = Wire(delay_s=0.03, rate_bps=0.56 * 5 * 30 * FRAME_BYTES * 8, queue_bytes=600)
     watched, _, relay_stats = await hold_call({}, down=slow)
     rates = [watched.peer(name)["latents_per_s"] for name in PEERS]
     assert min(rates) >= 14  # the outbox is fair: nobody is starved
