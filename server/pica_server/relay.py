@@ -304,8 +304,9 @@ class Relay:
 
         def look() -> None:
             now = loop.time()
-            self.hub.overload.note_turn(now - due_s, now)
-            self._pump.note_work((self._processor_s() - worked_s) / (now - began_s))
+            worked = (self._processor_s() - worked_s) / (now - began_s)
+            self.hub.overload.note_turn(now - due_s, now, worked)
+            self._pump.note_work(worked)
             self.hub.handle_timer(now)
             self._pump.send_all()
             self._watch_later()

@@ -8,6 +8,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
+from pica_client.errors import RelayUnreachableError
+from pica_client.transport.connect import LinkConfig
+from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
@@ -17,6 +20,7 @@ from pica_protocol.session import Closed, State
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.net.pump import LONGEST_WAIT_S
 from pica_server.relay import READ_AGAIN_S, Relay
+from pica_server.room.connections import LATE_S
 from pica_server.tokens import ANY_ROOM, Admission, load_keys, mint, new_key_line
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
@@ -203,6 +207,16 @@ async def test_frames_wait_for_others_while_the_core_is_busy_and_not_otherwise(
         assert len(bob.arrivals) == 8
         assert relay.stats()["messages_out"] - before == num_messages
         assert max(bob.delays_s) < LONGEST_WAIT_S + 0.001
+
+
+@in_virtual_time
+async def test_who_is_told_to_come_later_says_so_and_not_that_nobody_answers() -> None:
+    async with Relay(RelayConfig()) as relay:
+        for _ in range(2):
+            relay.hub.overload.note_turn(LATE_S, now())
+        link = Link(LinkConfig(url=URL, room="r", connect_timeout_s=1))
+        with pytest.raises(RelayUnreachableError, match="too much to do, try again in 5 s"):
+            await link.run()
 
 
 @in_virtual_time

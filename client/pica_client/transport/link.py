@@ -283,7 +283,10 @@ class Link:
         target, longest_s, self._joined_s = "", LONGEST_REFUSED_S, None
         try:
             websocket = await open_websocket(url)
-            target = redirect_of(await self._talk(url, websocket), url, self.config)
+            closed = await self._talk(url, websocket)
+            target = redirect_of(closed, url, self.config)
+            if closed is not None and not target and self._joined_s is None:
+                self._trouble = RelayUnreachableError(closed.reason or "no answer")
         except RelayUnreachableError as error:
             self._trouble, longest_s = error, LONGEST_AWAY_S
         except (RelayRefusedError, OptionError) as error:

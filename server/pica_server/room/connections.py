@@ -39,6 +39,9 @@ goes; ten updates of metadata at once, as people raise a hand; an admin may mode
 LATE_S: Final = 0.1
 """A turn of the event loop that takes longer sheds faces (chosen: three faces; a shorter one may be
 the machine's doing); two in a row are overload: newcomers are told to come later."""
+WORKED_SHARE: Final = 0.5
+"""Part of a late turn that the relay must have worked itself: else others keep it from the
+processor, as on a machine where a call begins, and newcomers are not what is too much (chosen)."""
 PERIOD_S: Final = 0.05
 """Between two looks at the clock (chosen: half of what is late)."""
 CALM_S: Final = 5.0
@@ -59,11 +62,12 @@ class Overload:
         self._late_s = 0.0
         self._refuses_until_s = float("-inf")
 
-    def note_turn(self, late_s: float, now: float) -> None:
-        """Note how late the event loop has just been; one pause alone is no overload."""
+    def note_turn(self, late_s: float, now: float, worked: float = 1.0) -> None:
+        """Note how late the event loop has just been, and which part of that time the process has
+        worked; one pause alone is no overload."""
         before_s, self._late_s = self._late_s, late_s
         self.sheds = late_s >= LATE_S
-        if late_s >= LATE_S and before_s >= LATE_S:
+        if late_s >= LATE_S and before_s >= LATE_S and worked >= WORKED_SHARE:
             self._refuses_until_s = now + CALM_S
 
     def refuses(self, now: float) -> bool:

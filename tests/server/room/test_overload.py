@@ -30,3 +30,11 @@ def test_of_faces_that_came_together_a_late_relay_passes_on_the_newest_of_each_s
     hub.receive(ada.connection, [face(0), face(1), face(2)], 1.0)
     assert [frame.sequence for frame in bob.listen(1.0) if isinstance(frame, Frame)] == [2]
     assert hub.stats.dropped == {"late": 2}
+
+
+def test_a_relay_that_others_keep_from_the_processor_lets_newcomers_in() -> None:
+    overload = Overload()
+    for number in range(4):
+        overload.note_turn(LATE_S, now=1.0 + number, worked=0.2)
+    assert overload.sheds
+    assert not overload.refuses(4.0)
