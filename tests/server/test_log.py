@@ -111,7 +111,7 @@ PAYLOAD, WHISPERED = b"payload-of-a-face", b"whispered-key"
 FORWARDED = "203.0.113.77"
 
 
-def test_nobody_can_be_found_in_the_log_of_a_relay(tmp_path: Path) -> None:
+def test_no_participant_can_be_found_in_the_log_of_a_relay(tmp_path: Path) -> None:
     """A call with tokens, bad joins, garbage, a flood and a lost peer; then the log is searched."""
     key_file = tmp_path / "keys"
     key_file.write_text(new_key_line())

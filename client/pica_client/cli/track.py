@@ -34,8 +34,6 @@ LOW_FPS: Final = 20.0
 LONG_GAP_MS: Final = 150.0
 CONSTANT: Final = 1e-4
 """A shape that moves by less than this in all the time never moves."""
-SHIFTED_AT_REST: Final = 0.15
-"""Fifth percentile of a shape above this: the face at rest is not at rest."""
 MANY_CONSTANT: Final = 5
 NAMED_SHAPES: Final = 6
 """Names in a hint before it says how many more."""

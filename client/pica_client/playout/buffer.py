@@ -70,7 +70,6 @@ class PlayoutReport:
     """Counters since the stream began, and how it stands."""
 
     received: int = 0
-    payload_bytes: int = 0
     shown: int = 0
     """Display times with a face."""
     missed_s: float = 0.0
@@ -113,7 +112,6 @@ class Playout:
     def receive(self, frame: Frame, sample: LatentSample, now: float) -> None:
         """Take a frame that arrived just now, and the face that was decoded from it."""
         self._report.received += 1
-        self._report.payload_bytes += len(frame.payload)
         placed, transit = self._sender.receive(frame, now), self._sender.transit
         if placed is None or transit is None:
             return

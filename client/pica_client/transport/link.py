@@ -267,6 +267,11 @@ class Link:
                 while True:
                     self.url = await self._visit(self.url)
         except TimeoutError as error:
+            if isinstance(self._trouble, RelayRefusedError):
+                raise RelayUnreachableError(
+                    f"the relay at {self.config.url} does not let us in (tried for {limit_s:g} s: "
+                    f"{self._trouble}); wait for it with --wait"
+                ) from self._trouble
             raise RelayUnreachableError(
                 f"no relay answers at {self.config.url} (tried for {limit_s:g} s: "
                 f"{self._trouble or 'no answer'}); "
@@ -283,10 +288,7 @@ class Link:
         target, longest_s, self._joined_s = "", LONGEST_REFUSED_S, None
         try:
             websocket = await open_websocket(url)
-            closed = await self._talk(url, websocket)
-            target = redirect_of(closed, url, self.config)
-            if closed is not None and not target and self._joined_s is None:
-                self._trouble = RelayUnreachableError(closed.reason or "no answer")
+            target = redirect_of(await self._talk(url, websocket), url, self.config)
         except RelayUnreachableError as error:
             self._trouble, longest_s = error, LONGEST_AWAY_S
         except (RelayRefusedError, OptionError) as error:
@@ -365,6 +367,8 @@ class Link:
         if self._joined_s is not None:
             why = f" ({closed.reason})" if closed.reason else ""
             self._say(f"connection to the relay lost{why}; coming back by itself")
+        elif closed.reason and not closed.url:
+            self._trouble = RelayRefusedError(closed.reason)
         return closed
 
     async def _read(self, session: ClientSession, websocket: RelayWebsocket) -> None:

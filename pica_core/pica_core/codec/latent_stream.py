@@ -322,7 +322,7 @@ class LatentEncoder:
 
         Raises:
             ShapeError: An argument of another shape.
-            LatentError: A value that is not finite.
+            LatentError: A value that is not finite, or a latent without an avatar.
         """
         wanted = self._coefficients(arkit, rotation, translation_m, latent)
         is_quiet = self._sent is not None and bool(
@@ -361,7 +361,9 @@ class LatentEncoder:
                 f"arkit is {values.shape} and the pose {pose.shape}; "
                 f"({NUM_ARKIT},) and (2, 3) are needed"
             )
-        if latent is not None and self._expressions is not None:
+        if latent is not None:
+            if self._expressions is None:
+                raise LatentError("a latent is given, but not the avatar that predicts it")
             if latent.shape != LATENT_SHAPE:
                 raise ShapeError(f"latent is {latent.shape}; {LATENT_SHAPE} is needed")
             rest = latent - self._expressions.encode(values)

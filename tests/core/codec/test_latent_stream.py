@@ -185,5 +185,7 @@ def test_a_latent_of_another_encoder_arrives_within_half_a_step() -> None:
         got = decoder.decode(sent.payload).latent
         assert np.abs(got - latent).max() <= 0.52 * REST_STEP * REST_UNIT
         assert len(sent.payload) < 256
+    with pytest.raises(LatentError, match="not the avatar"):
+        LatentEncoder().encode(arkit, STILL, STILL, 0, latent=latent)
     with pytest.raises(ShapeError, match=r"latent is \(4, 4, 4\)"):
         encoder.encode(arkit, STILL, STILL, 10**6, latent=np.zeros((4, 4, 4), np.float32))

@@ -4,9 +4,8 @@
 
 Where the 478 landmarks of the face networks lie on the model is stored beside this file. It was
 measured (``scripts/make_landmarks.py``) on people of the model, drawn from several sides: a medoid
-and its spread. Landmarks of the face's outline have a large spread, since
-the networks put them where the outline of the *picture* is; those at eyes, nose and lips have half
-a millimetre.
+and its spread. Landmarks of the face's outline have a large spread, since the networks put them
+where the outline of the *picture* is; those at eyes, nose and lips have half a millimetre.
 
 Frames: everything of the model is in metres in our head frame (x to the subject's left, y up, z
 forward, the middle between the eyeballs at ``EYES_AT_M``). A `Similarity` leads from there to the
