@@ -27,12 +27,7 @@ from pica_client.voice.publisher import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import (
-    BEST_QUALITY,
-    DEFAULT_QUALITY,
-    EncodedFrame,
-    LatentEncoder,
-)
+from pica_core.codec.latent_stream import BEST_QUALITY, DEFAULT_QUALITY, EncodedFrame, LatentEncoder
 from pica_core.types import Image
 from pica_protocol.messages import Track
 

@@ -9,13 +9,7 @@ from typing import Final
 from pica_protocol import messages, session
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
-from pica_protocol.frames import (
-    SEQUENCE_MODULUS,
-    Frame,
-    decode_media,
-    encode_frame,
-    media_message,
-)
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_MEDIA_MESSAGE_BYTES, MAX_PEERS
 
 MAX_QUEUED_MESSAGES: Final = 256

@@ -33,13 +33,7 @@ from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
-from pica_protocol.frames import (
-    SEQUENCE_MODULUS,
-    Frame,
-    decode_media,
-    encode_frame,
-    media_message,
-)
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 
 MAX_UNDER_WAY = 4096

@@ -17,12 +17,7 @@ from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.sources.calibration import MAX_SOUND_OFFSET_S, save_calibration
 from pica_client.sources.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live_face import TrackerSample, yaw_pitch_roll_from_rotation_vector
-from pica_client.sources.registry import (
-    LIVE_HELP,
-    TRACKER_KINDS,
-    open_live,
-    split_source,
-)
+from pica_client.sources.registry import LIVE_HELP, TRACKER_KINDS, open_live, split_source
 from pica_client.sources.tracker import SampleTap, Tracker
 from pica_client.system import check_writable, say
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT

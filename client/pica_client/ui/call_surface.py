@@ -16,14 +16,7 @@ from pica_client.call.status import CallStatus, notices
 from pica_client.render.scene import NEAR_M, Rect, common_px
 from pica_client.render.seats import FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
-from pica_client.ui.call_view import (
-    UNKNOWN,
-    CallView,
-    NoticeBoard,
-    OwnFaceView,
-    Panel,
-    PersonView,
-)
+from pica_client.ui.call_view import UNKNOWN, CallView, NoticeBoard, OwnFaceView, Panel, PersonView
 from pica_client.ui.overlay import (
     control_bar,
     free_shares,

@@ -10,16 +10,7 @@ from pica_client.ui.actions import Action, help_lines
 from pica_client.ui.call_view import CallView
 from pica_client.ui.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
-from pica_client.ui.widgets import (
-    BAR_PT,
-    EDGE_PT,
-    PADDING_PT,
-    TEXT_PT,
-    TONES,
-    Tone,
-    px,
-    screen,
-)
+from pica_client.ui.widgets import BAR_PT, EDGE_PT, PADDING_PT, TEXT_PT, TONES, Tone, px, screen
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
 WIDTH_PT = 300.0

@@ -25,13 +25,7 @@ from pica_core.model import interface
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 from pica_core.model.linear import LinearEncoder, LinearGeometry
-from pica_core.model.networks import (
-    ENCODERS,
-    MapDecoder,
-    Untied,
-    sample_map,
-    tile_view_direction,
-)
+from pica_core.model.networks import ENCODERS, MapDecoder, Untied, sample_map, tile_view_direction
 from pica_core.model.pixel_decoder import PixelDecoder, SurfaceEncoding
 
 

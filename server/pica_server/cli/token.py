@@ -10,14 +10,7 @@ from typing import Any
 
 from pica_protocol.invite import Invite, make_link
 from pica_server.config import ConfigurationError
-from pica_server.tokens import (
-    ANY_AVATAR,
-    Admission,
-    load_keys,
-    mint,
-    new_key_line,
-    newest_of,
-)
+from pica_server.tokens import ANY_AVATAR, Admission, load_keys, mint, new_key_line, newest_of
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

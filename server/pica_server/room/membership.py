@@ -29,13 +29,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed
 from pica_server.limits import MOST_REMEMBERED, RefusalError, TokenBucket
-from pica_server.room.connections import (
-    CALM_S,
-    MODERATION_COST,
-    UPDATE_COST,
-    Connections,
-    Overload,
-)
+from pica_server.room.connections import CALM_S, MODERATION_COST, UPDATE_COST, Connections, Overload
 from pica_server.room.room import BAR, Connection, Room
 from pica_server.tokens import Admission
 

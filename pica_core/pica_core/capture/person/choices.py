@@ -25,14 +25,7 @@ import numpy.typing as npt
 
 from pica_core.capture.dataset.multiface import read_json
 from pica_core.capture.person.hair import STYLES
-from pica_core.capture.rig.mesh import (
-    EYES_AT_M,
-    MARKS,
-    Eyeball,
-    RigFrame,
-    RigMesh,
-    fit_sphere,
-)
+from pica_core.capture.rig.mesh import EYES_AT_M, MARKS, Eyeball, RigFrame, RigMesh, fit_sphere
 from pica_core.errors import CaptureError, check_ranges
 from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 

@@ -28,12 +28,7 @@ from pica_core.capture.dataset.files import (
     write_tables,
     write_topology,
 )
-from pica_core.capture.stage.expressions import (
-    RATE_HZ,
-    STRIDE,
-    blend,
-    sample_takes,
-)
+from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracker import (
     NUM_VERTICES,

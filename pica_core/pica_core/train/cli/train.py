@@ -19,12 +19,7 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate, mean_mse
-from pica_core.train.export import (
-    EVALUATION_FILE,
-    joint_map,
-    make_avatar,
-    model_card,
-)
+from pica_core.train.export import EVALUATION_FILE, joint_map, make_avatar, model_card
 from pica_core.train.lod.levels import add_levels
 from pica_core.train.train import CHECKPOINT, Trainer, open_trainer, read_checkpoint
 
