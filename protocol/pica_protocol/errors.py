@@ -1,6 +1,7 @@
 """Why a connection ended, and what it means."""
 
 from enum import IntEnum
+from typing import Final
 
 
 class CloseCode(IntEnum):
@@ -60,32 +61,23 @@ class CloseCode(IntEnum):
     """An admin has removed this peer from the room."""
 
 
-_WORTH_RETRYING = frozenset(
-    {
-        CloseCode.GOING_AWAY,
-        CloseCode.CONNECTION_LOST,
-        CloseCode.INTERNAL_ERROR,
-        CloseCode.HANDSHAKE_TIMEOUT,
-        CloseCode.TOO_SLOW,
-        CloseCode.RELAY_FULL,
-        CloseCode.BUSY,
-        1005,  # closed without a code
-        1012,  # service restart, from a proxy
-        1013,  # try again later, from a proxy
-        1014,  # bad gateway, from a proxy
-    }
+WORTH_RETRYING: Final = (
+    CloseCode.GOING_AWAY,
+    CloseCode.CONNECTION_LOST,
+    CloseCode.INTERNAL_ERROR,
+    CloseCode.HANDSHAKE_TIMEOUT,
+    CloseCode.TOO_SLOW,
+    CloseCode.RELAY_FULL,
+    CloseCode.BUSY,
+    1005,  # closed without a code
+    1012,  # service restart, from a proxy
+    1013,  # try again later, from a proxy
+    1014,  # bad gateway, from a proxy
 )
-
-
-def is_worth_retrying(code: int) -> bool:
-    """Return True if the same join may succeed later without any change."""
-    return code in _WORTH_RETRYING
-
-
-def may_pass(code: int) -> bool:
-    """Return True if a refusal of a peer that was in the room a moment ago may be over in a minute:
-    a ghost holds its place, a clock or a key file is about to be mended."""
-    return code in (CloseCode.ROOM_FULL, CloseCode.TOO_MANY, CloseCode.UNAUTHORIZED)
+"""The same join may succeed later without any change."""
+MAY_PASS: Final = (CloseCode.ROOM_FULL, CloseCode.TOO_MANY, CloseCode.UNAUTHORIZED)
+"""Refusals of a peer that was in the room a moment ago that may be over in a minute: a ghost holds
+its place, a clock or a key file is about to be mended."""
 
 
 class RemoteProtocolError(Exception):

@@ -29,7 +29,7 @@ from pica_server.pages import StatusPages, WebPage, page_files
 from pica_server.room.connections import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.store.store import AvatarStore
-from pica_server.store.transfers import Downloads, Uploads
+from pica_server.store.transfers import Transfers
 from pica_server.tokens import admin_scope, admit, admit_upload, load_keys
 from pica_server.web import avatar_files
 
@@ -97,10 +97,8 @@ class Relay:
         if config.avatar_store != "none":
             self.store = AvatarStore(config.avatar_store, config.store, avatar_files())
         counts = self.hub.stats.store
-        self._transfers: set[RelaySocket] = set()
-        self._downloads = Downloads(self.store, counts, self._transfers, config.origins)
-        self._uploads = Uploads(
-            self.store, may_upload, counts, self._transfers, config.handshake_timeout_s
+        self._transfers = Transfers(
+            self.store, counts, may_upload, config.handshake_timeout_s, config.origins
         )
         self.tls = _tls_context(config)
         self._proxies = networks(config.trusted_proxies)
@@ -201,7 +199,7 @@ class Relay:
             websocket.give_up()
         self.hub.membership.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
         self._pump.send_all()
-        for websocket in self._transfers:
+        for websocket in self._transfers.moving:
             websocket.transport.abort()
         await self._server.wait_closed()
         if self._placement is not None:
@@ -250,7 +248,7 @@ class Relay:
             text = "pages of this origin may not connect; --origins lists those that may\n"
             return websocket.respond(HTTPStatus.FORBIDDEN, text)
         if request.path.startswith(AVATARS_PATH):
-            return self._downloads.answer(websocket, request)
+            return self._transfers.answer(websocket, request)
         page = self._pages.answer(
             request.path,
             authorization=", ".join(request.headers.get_all("Authorization")),
@@ -330,7 +328,7 @@ class Relay:
         websocket.note_opened()
         is_upload = websocket.subprotocol == STORE_SUBPROTOCOL
         try:
-            await (self._uploads if is_upload else self._pump).serve(websocket)
+            await (self._transfers if is_upload else self._pump).serve(websocket)
         except Exception:  # a fault of ours, which the library would not log
             _logger.exception("connection failed")
             raise

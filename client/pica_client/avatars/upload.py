@@ -28,7 +28,7 @@ from pica_client.transport.connect import LinkConfig, open_websocket
 from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_protocol.codec import MAX_CHUNK_BYTES, decode_message, encode_chunk, encode_message
-from pica_protocol.errors import CloseCode, RemoteProtocolError, is_worth_retrying
+from pica_protocol.errors import WORTH_RETRYING, CloseCode, RemoteProtocolError
 from pica_protocol.messages import STORE_SUBPROTOCOL, Bye, Message, Offer, Ready, Stored
 
 SEND_BUFFER_BYTES = 16 * 2**10
@@ -99,7 +99,7 @@ async def _answer(websocket: ClientConnection) -> Message:
 
 
 def _refused(code: int, reason: str) -> RelayError:
-    kind = RelayUnreachableError if is_worth_retrying(code) else RelayRefusedError
+    kind = RelayUnreachableError if code in WORTH_RETRYING else RelayRefusedError
     return kind(reason)
 
 

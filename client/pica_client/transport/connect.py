@@ -35,7 +35,7 @@ from websockets.uri import parse_uri
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
+from pica_protocol.errors import MAY_PASS, WORTH_RETRYING, CloseCode
 from pica_protocol.limits import (
     MAX_CONTROL_BYTES,
     bound_tls_buffer,
@@ -283,11 +283,11 @@ def refusal_of(url: str, closed: Closed) -> RelayRefusedError | None:
     """Return what it means that a relay closed a connection, or None: come back at once."""
     # What we could not read may have been a passing fault of the relay: try again, slower.
     is_ours = closed.code in PROTOCOL_BROKEN and not closed.is_remote
-    if is_worth_retrying(closed.code) or is_ours:
+    if closed.code in WORTH_RETRYING or is_ours:
         return None
     return RelayRefusedError(
         f"{url}: the relay said no: {closed.reason or 'no reason'} (code {closed.code})",
-        may_pass=may_pass(closed.code),
+        may_pass=closed.code in MAY_PASS,
         code=closed.code,
     )
 

@@ -8,7 +8,7 @@ A link that lost the connection comes back to the place it had, if the relay sti
 joins again, with another id. Either way its owner gets a ``Joined``. A connection on which nothing
 comes is pinged, and left if that is not answered. A relay may send us to another one.
 
-A refusal that waiting cannot mend is final. The rest may pass (`pica_protocol.errors.may_pass`): an
+A refusal that waiting cannot mend is final. The rest may pass (`pica_protocol.errors.MAY_PASS`): an
 older connection of ours still holds the place, a key file or a clock is being corrected. At the
 first join these end the link at once all the same; later it tries again for `RETURN_S`.
 

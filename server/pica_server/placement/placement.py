@@ -308,13 +308,9 @@ class RoomPlacement:
     def _look(self, place: _Place) -> None:
         """Have a room looked at, again if it is being looked at."""
         place.is_due = True
-        if not self.is_up:
-            self._go_on_alone(place)
-        elif place.task is None:
+        if self.is_up and place.task is None:
             place.task = asyncio.create_task(self._settle(place))
-
-    def _go_on_alone(self, place: _Place) -> None:
-        if place.has_joins:
+        elif not self.is_up and place.has_joins:
             self._counts["local"] += 1
             self._let_in(place)
 
@@ -364,7 +360,9 @@ class RoomPlacement:
             elif is_here and place.own is not None and place.own.rank < claim.rank:
                 wanted = place.own
             elif now - relay.heard_s < LATE_S:
-                self._send_to(place, relay.beat.url)
+                self._counts["redirected"] += 1
+                place.has_joins = False
+                self._on_placed(place.room, relay.beat.url)
         if wanted is not None:
             place.written, place.is_due = _encode(wanted), True
             if await self._bucket.write(place.key, place.written, revision) is not None:
@@ -385,11 +383,6 @@ class RoomPlacement:
     def _let_in(self, place: _Place) -> None:
         place.has_joins, place.reserved_until_s = False, self._now() + RESERVED_S
         self._on_placed(place.room, None)
-
-    def _send_to(self, place: _Place, url: str) -> None:
-        self._counts["redirected"] += 1
-        place.has_joins = False
-        self._on_placed(place.room, url)
 
     def _place(self, room: str) -> _Place:
         key = room_key(room)

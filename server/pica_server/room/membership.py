@@ -39,23 +39,16 @@ OWN_JOINS_BURST: Final = 10.0
 comes together, and a page that is loaded again and again is no attack)."""
 
 
-class Placement(Protocol):
+class _Placement(Protocol):
     """Finds the relay of a room that is not here, and tells `Membership.follow`; see
     `pica_server.placement`."""
 
     is_up: bool
 
-    def ask(self, room: str) -> None:
-        """Find the relay of a room that is not here."""
-
-    def note_started(self, room: str) -> None:
-        """Note that a room has got its first peer here."""
-
-    def note_ended(self, room: str) -> None:
-        """Note that the last peer has left a room."""
-
-    def refuge(self) -> str:
-        """Return the address of another relay for the peers of a room, "" if there is none."""
+    def ask(self, room: str) -> None: ...
+    def note_started(self, room: str) -> None: ...
+    def note_ended(self, room: str) -> None: ...
+    def refuge(self) -> str: ...
 
 
 @dataclass(eq=False)
@@ -82,7 +75,7 @@ class Membership:
         self._joins: TokenBucket | None = None  # full when the first one comes
         # By identity, or else by address; drops the oldest.
         self._own_joins: dict[str, TokenBucket] = {}
-        self.placement: Placement | None = None
+        self.placement: _Placement | None = None
         # Joins that wait until the relay of their room is known, at most one for each connection.
         self._waiting: dict[str, list[tuple[Connection, Join, Admission]]] = {}
         self._connections.on_over = self.clear_up

@@ -55,21 +55,31 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
-class Downloads:
-    """Gives the files of a store, or says that there is none."""
+class Transfers:
+    """Gives the files of a store and takes others, or says that there is none.
+
+    Attributes:
+        moving: Sockets over which a file moves; the relay cuts them at its end.
+    """
 
     _store: AvatarStore | None
     """The files; None: this relay keeps none."""
     _stats: Counter[str]
-    _transfers: set[RelaySocket]
-    """Where sockets are as long as a file moves; the relay cuts them at its end."""
+    _may_upload: Callable[[str, str], None]
+    """Takes a token and an avatar's id; raises `RefusalError` if that must not be uploaded."""
+    _offer_timeout_s: float
+    """Seconds from the open websocket to the offer."""
     _origins: tuple[str, ...]
     """Web pages whose scripts may read what they get."""
 
     def __post_init__(self) -> None:
+        self.moving: set[RelaySocket] = set()
         if self._store is not None:
             config = self._store.config
-            self._slots = Slots(config.downloads, config.downloads_per_address)
+            self._downloads = Slots(config.downloads, config.downloads_per_address)
+            # Who has not shown a token yet must not hold the places of those who have.
+            self._offers = Slots(MOST_OFFERS, config.uploads_per_address)
+            self._uploads = Slots(config.uploads, config.uploads_per_address)
 
     async def answer(self, websocket: RelaySocket, request: Request) -> Response:
         """Answer a request below ``/avatars/``; for ``process_request``."""
@@ -84,7 +94,7 @@ class Downloads:
                 websocket, HTTPStatus.NOT_FOUND, "an avatar's id is its SHA-256, in 64 digits"
             )
         try:
-            with self._slots.taken(websocket.address):
+            with self._downloads.taken(websocket.address):
                 size = await store.size(identity)
                 if not size:
                     return _refusal(websocket, HTTPStatus.NOT_FOUND, "no such avatar here")
@@ -93,8 +103,7 @@ class Downloads:
             self._stats["downloads_refused"] += 1
             text = "too many downloads, try again"
         except OSError as error:
-            self._stats["faults"] += 1
-            _logger.warning("avatar store failed", extra={"error": type(error).__name__})
+            self._note_fault(error)
             text = "the store does not answer"
         return _refusal(websocket, HTTPStatus.SERVICE_UNAVAILABLE, text, **{"Retry-After": "1"})
 
@@ -119,7 +128,7 @@ class Downloads:
         sock = transport.get_extra_info("socket")
         set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         self._stats["downloads"] += 1
-        self._transfers.add(websocket)
+        self.moving.add(websocket)
         try:
             async with asyncio.timeout(store.config.longest_s(size)):
                 transport.write(head.serialize())
@@ -134,7 +143,7 @@ class Downloads:
             transport.abort()
             await websocket.wait_closed()
         finally:
-            self._transfers.discard(websocket)
+            self.moving.discard(websocket)
         return head
 
     async def _send_pieces(self, websocket: RelaySocket, data: bytes) -> None:
@@ -147,38 +156,9 @@ class Downloads:
             await asyncio.sleep(0)  # a reader that keeps up does not make it wait
             self._stats["download_bytes"] += len(piece)
 
-
-def _refusal(websocket: RelaySocket, status: HTTPStatus, text: str, **more: str) -> Response:
-    """Say no, in a line for people."""
-    response = websocket.respond(status, f"{text}\n")
-    response.headers.update({"Cache-Control": "no-store", **more})
-    return response
-
-
-@dataclass(eq=False)
-class Uploads:
-    """Takes files into a store, or says that there is none."""
-
-    _store: AvatarStore | None
-    """The files; None: this relay keeps none."""
-    _may_upload: Callable[[str, str], None]
-    """Takes a token and an avatar's id; raises `RefusalError` if that must not be uploaded."""
-    _stats: Counter[str]
-    _transfers: set[RelaySocket]
-    """Where sockets are as long as a file moves; the relay cuts them at its end."""
-    _offer_timeout_s: float
-    """Seconds from the open websocket to the offer."""
-
-    def __post_init__(self) -> None:
-        if self._store is not None:
-            config = self._store.config
-            # Who has not shown a token yet must not hold the places of those who have.
-            self._offers = Slots(MOST_OFFERS, config.uploads_per_address)
-            self._slots = Slots(config.uploads, config.uploads_per_address)
-
     async def serve(self, websocket: RelaySocket) -> None:
         """Take one file."""
-        self._transfers.add(websocket)
+        self.moving.add(websocket)
         bound_receive_buffer(websocket.transport.get_extra_info("socket"), RECEIVE_BUFFER_BYTES)
         try:
             code, reason = await self._take(websocket)
@@ -190,7 +170,7 @@ class Uploads:
         except ConnectionClosed:
             self._stats["uploads_cut"] += 1
         finally:
-            self._transfers.discard(websocket)
+            self.moving.discard(websocket)
 
     async def _take(self, websocket: RelaySocket) -> tuple[CloseCode, str]:
         """Take a file; return how it ended, for the other side."""
@@ -199,7 +179,7 @@ class Uploads:
         try:
             with self._offers.taken(websocket.address):
                 offer = await self._offer(websocket)
-            with self._slots.taken(websocket.address):
+            with self._uploads.taken(websocket.address):
                 stored = await self._receive(websocket, self._store, offer)
                 await websocket.send(encode_message(stored))
         except (RemoteProtocolError, RefusalError) as error:
@@ -207,8 +187,7 @@ class Uploads:
         except TimeoutError:
             return CloseCode.TOO_SLOW, "the offer or the file came too slowly"
         except OSError as error:
-            self._stats["faults"] += 1
-            _logger.warning("avatar store failed", extra={"error": type(error).__name__})
+            self._note_fault(error)
             return CloseCode.INTERNAL_ERROR, "the store has a fault"
         return CloseCode.NORMAL, ""
 
@@ -239,6 +218,17 @@ class Uploads:
             await store.keep(offer.sha256, data)
         self._stats["uploads_kept"] += 1
         return Stored(is_new=True)
+
+    def _note_fault(self, error: OSError) -> None:
+        self._stats["faults"] += 1
+        _logger.warning("avatar store failed", extra={"error": type(error).__name__})
+
+
+def _refusal(websocket: RelaySocket, status: HTTPStatus, text: str, **more: str) -> Response:
+    """Say no, in a line for people."""
+    response = websocket.respond(status, f"{text}\n")
+    response.headers.update({"Cache-Control": "no-store", **more})
+    return response
 
 
 async def _binary(websocket: RelaySocket) -> bytes:
