@@ -9,8 +9,6 @@ frames of one face, gaps that are still open included, and how old frames were a
 To add a fault, write a coroutine that does it and returns when it is over, under ``@fault``.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import itertools
@@ -55,7 +53,7 @@ class Call:
     unread: socket.socket | None = None
     """The other end of the relay's log, if nobody reads it."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: "Fault") -> None:
         self._fps = fault.fps
         self._processes: list[subprocess.Popen[str]] = []
         with socket.create_server(("127.0.0.1", 0)) as free:

@@ -3,8 +3,6 @@
 On loopback and a real clock, because files come and go in threads.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whole calls whose connections break: who comes back, with what, and what the others see."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The demo from end to end on a real clock: every process, GL and the recording included."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

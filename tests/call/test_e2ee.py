@@ -1,8 +1,6 @@
 """Sealed calls through the real relay on the virtual clock: it caches, thins and forwards what it
 cannot read."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections.abc import AsyncIterator
@@ -39,13 +37,7 @@ class Sealed:
         frames: When each came, and the frame.
     """
 
-    def __init__(
-        self,
-        name: str,
-        *,
-        host: str = "relay",
-        publishes: bool = True,
-    ) -> None:
+    def __init__(self, name: str, *, host: str = "relay", publishes: bool = True) -> None:
         chance = random.Random(name)
         self.guard = Guard(SECRET, random_bytes=chance.randbytes)
         self.link = Link(

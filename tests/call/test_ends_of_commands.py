@@ -1,8 +1,6 @@
 """How commands end: in the time they were given, with their report, whatever the user or the disk
 does."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

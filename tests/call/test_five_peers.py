@@ -5,8 +5,6 @@ is left out, because ONNX Runtime needs threads and virtual time has none. What 
 capture to arrival. Code takes no time on a virtual clock, so these are the delays of the network.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import defaultdict
 from dataclasses import dataclass, field

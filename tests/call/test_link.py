@@ -1,8 +1,6 @@
 """The way to the relay on the virtual clock: not there, not willing, not sane, gone without a word,
 elsewhere: redirected by a drain, or as the answer to a join."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """Trackers of every kind in one call, through the real relay, and the commands for them."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

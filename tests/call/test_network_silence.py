@@ -5,8 +5,6 @@ counts what has none, whether Python or a native library asks for it, a name ser
 seen: what goes through a unix socket to a daemon of the machine.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

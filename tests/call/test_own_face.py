@@ -3,8 +3,6 @@
 On the virtual clock, through the real relay.
 """
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 from itertools import pairwise

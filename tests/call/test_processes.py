@@ -1,7 +1,5 @@
 """Whole processes on a real clock: nothing hangs, everybody comes back, bad input ends with 2."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -5,8 +5,6 @@ Sender and receiver are the product's, with a shipped avatar. Code takes no time
 delays are those of the network and of our own waiting.
 """
 
-from __future__ import annotations
-
 import asyncio
 from importlib import resources
 from pathlib import Path

@@ -3,8 +3,6 @@
 The window is one without a screen: a GL context and the events that the test has the user do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

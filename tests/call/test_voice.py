@@ -1,7 +1,5 @@
 """Voices through the real relay, on the virtual clock: heard, muted, refused, sealed, replaced."""
 
-from __future__ import annotations
-
 import asyncio
 from importlib import resources
 from itertools import pairwise

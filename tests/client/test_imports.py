@@ -1,7 +1,5 @@
 """A sender stands without what only a viewer needs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

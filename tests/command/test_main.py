@@ -1,7 +1,5 @@
 """The dispatcher: what it finds, what it prints, what it ends with."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,8 +1,6 @@
 """A command whose output has no reader any more, as after ``| head``, or for which there is no
 room, ends without a traceback."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

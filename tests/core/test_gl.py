@@ -1,7 +1,5 @@
 """What the shared GL functions promise beyond drawing."""
 
-from __future__ import annotations
-
 import signal
 from typing import Any
 

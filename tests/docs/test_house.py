@@ -1,7 +1,5 @@
 """``scripts/house.py``: what it counts."""
 
-from __future__ import annotations
-
 import pytest
 
 from helpers.paths import load_script

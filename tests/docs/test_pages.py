@@ -1,7 +1,5 @@
 """Pages for people: lines of at most 120 characters, and links that lead somewhere."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pages that lead: each of their commands exists, and a script that CI runs does what they say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Each example runs, says something, warns of nothing and leaves its files where it is told."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

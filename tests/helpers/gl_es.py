@@ -4,8 +4,6 @@ Run as a program, for its context would take the place of others in a process. E
 where no such driver is there, and with 1 where it refuses a text.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from typing import Any

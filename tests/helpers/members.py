@@ -61,13 +61,7 @@ class Member:
     def speak(self, now: float) -> None:
         self.hub.receive(self.connection, self.session.messages_to_send(now), now)
 
-    def send_frame(
-        self,
-        payload: bytes,
-        now: float,
-        *,
-        track: int = 0,
-    ) -> None:
+    def send_frame(self, payload: bytes, now: float, *, track: int = 0) -> None:
         self.session.send_frame(payload, captured_us=0, track=track)
         self.speak(now)
 

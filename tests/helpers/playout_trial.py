@@ -6,8 +6,6 @@ The sender's clock is far ahead of ours: nothing may depend on the difference.
 Unrealistic: the display never misses a refresh, and code takes no time.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Iterable, Sequence

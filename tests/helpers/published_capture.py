@@ -1,7 +1,5 @@
 """A small directory as Multiface publishes its captures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A tiny head with blendshapes, and writers of the files that rigs come in."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Container

@@ -3,8 +3,6 @@
 For tests of `pica_client.e2ee`; the real relay is in ``tests/call/test_e2ee.py``.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

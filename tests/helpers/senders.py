@@ -1,7 +1,5 @@
 """Many senders on one event loop: the real ones, but sharing a process, and avatars in memory."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any

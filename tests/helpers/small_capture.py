@@ -1,7 +1,5 @@
 """People of the face model's coarse mesh, and captures of them that are rendered in seconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

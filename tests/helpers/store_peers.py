@@ -1,8 +1,6 @@
 """A relay with a store on loopback, and those who use it, well or badly. On a real clock: the store
 works in threads."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import json

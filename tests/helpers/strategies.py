@@ -6,12 +6,7 @@ from dataclasses import fields
 from hypothesis import strategies as st
 
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
-from pica_protocol.limits import (
-    MAX_DEADLINE_MS,
-    MAX_PASS_BYTES,
-    MAX_WHISPER_BYTES,
-    draws_nothing,
-)
+from pica_protocol.limits import MAX_DEADLINE_MS, MAX_PASS_BYTES, MAX_WHISPER_BYTES, draws_nothing
 from pica_protocol.messages import BYE_CODES, MESSAGE_TYPES, Message, Peer, Track
 
 _TOKEN_CHARS = string.ascii_letters + string.digits + "_.-"

@@ -1,7 +1,5 @@
 """A small latent stream for tests: faces that move on twelve shapes, made from seeds."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

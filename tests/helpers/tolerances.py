@@ -5,8 +5,6 @@ avatars with weights as large as trained ones, so a rounding change passes and a
 not.
 """
 
-from __future__ import annotations
-
 PIXEL_FLOAT32 = 1e-3
 """RGB 0..1, torch float32 against numpy float64. A place in the 10,000-entry tables m_u, m_v is
 exact to 5e-4 of an entry in float32, and neighbouring entries may differ by 2; the rest is rounding

@@ -1,7 +1,5 @@
 """A small avatar with random weights but the look of a head, for tests that need a valid one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Trackers as their specifications have them: datagrams built without the code under test."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 

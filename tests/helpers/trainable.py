@@ -1,7 +1,5 @@
 """Models of nobody in particular, for tests that need one to train, export or judge."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

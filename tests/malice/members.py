@@ -10,8 +10,6 @@ After every run this must hold for Ada, Ben and Cho:
     no outliving        a member that left is gone for the others, and sends nothing any more
 """
 
-from __future__ import annotations
-
 import random
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence

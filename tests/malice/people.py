@@ -1,7 +1,5 @@
 """The people on a malicious relay: their clients, their lines, and what they keep when they go."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass, field
 
@@ -31,7 +29,7 @@ class BrokenPromiseError(AssertionError):
 class Line:
     """One connection as the relay has it."""
 
-    person: Person
+    person: "Person"
     peer: Peer | None = None
     """As it truly joined, under the id that it was told."""
     waiting: list[bytes] = field(default_factory=list)

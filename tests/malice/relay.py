@@ -14,8 +14,6 @@ with the seed when one of these does not hold:
 What is not modelled: clocks that drift, sockets, and a relay that knows the room secret.
 """
 
-from __future__ import annotations
-
 import random
 from collections import Counter, defaultdict
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Calls with members who mean harm; more with ``MALICE_RUNS=10000``."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 

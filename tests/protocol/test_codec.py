@@ -16,14 +16,7 @@ from pica_protocol.codec import (
 )
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_PEERS, is_avatar_id
-from pica_protocol.messages import (
-    Joined,
-    Message,
-    Offer,
-    Peer,
-    Ready,
-    Track,
-)
+from pica_protocol.messages import Joined, Message, Offer, Peer, Ready, Track
 
 pytestmark = pytest.mark.unit
 

@@ -1,7 +1,5 @@
 """Invite links: there and back, and what is no link."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

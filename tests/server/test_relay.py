@@ -13,9 +13,7 @@ from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import (
-    PeerLeft,
-)
+from pica_protocol.messages import PeerLeft
 from pica_protocol.session import Closed, State
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.net.pump import LONGEST_WAIT_S

@@ -1,7 +1,5 @@
 """Avatars that go to and come from a relay's store: late, wrong, not at all."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Which avatars stay loaded, which one is worn by default, and who gives its file to the relay."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

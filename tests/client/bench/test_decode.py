@@ -1,7 +1,5 @@
 """The bench of one head: its rows and its ratios."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

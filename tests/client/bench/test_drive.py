@@ -1,7 +1,5 @@
 """An avatar under live drive, beside the head itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Turns and times of the benches."""
 
-from __future__ import annotations
-
 import pytest
 
 from pica_client.bench.harness import ratio, take_turns, times_ms

@@ -1,7 +1,5 @@
 """The model of the network: what it does to frames, against what it says it does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

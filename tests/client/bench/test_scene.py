@@ -1,7 +1,5 @@
 """The scene bench counts and compares what it says."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Streams through troubles on the virtual clock: what a receiver gets, and what it shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

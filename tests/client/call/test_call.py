@@ -1,7 +1,5 @@
 """The receiver's state: who is there, what is wrong with whom, and the numbers about it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.senders import LoadedAvatars
-from helpers.stream_toy import (
-    Sent,
-    perform,
-)
+from helpers.stream_toy import Sent, perform
 from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call, Ears
@@ -23,14 +18,7 @@ from pica_core.avatar.file import Avatar, save_avatar
 from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import AvatarFileError
 from pica_protocol.frames import Frame
-from pica_protocol.messages import (
-    Joined,
-    Peer,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    Track,
-)
+from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, PeerUpdated, Track
 
 pytestmark = pytest.mark.unit
 

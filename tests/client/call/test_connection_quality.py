@@ -1,7 +1,5 @@
 """Warnings about connections: only for what is seen, and without flickering."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Who is in the room and in which order, whatever becomes of the connection, and what is news."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

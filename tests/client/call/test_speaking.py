@@ -1,7 +1,5 @@
 """The speaking hint: what is read out of latents is the jaw, and what moves like speech speaks."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

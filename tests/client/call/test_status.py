@@ -1,7 +1,5 @@
 """The list of people, what is said of them, and why a face is not to be seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -10,11 +8,7 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
 from pica_client.call.roster import Member, News
-from pica_client.call.status import (
-    duration_text,
-    notices,
-    recorders,
-)
+from pica_client.call.status import duration_text, notices, recorders
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,

@@ -1,7 +1,5 @@
 """Subscriptions to a share of a stream: up at once, down late, never more than a few messages."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -1,7 +1,5 @@
 """What the client's commands say about bad input, and with which status they end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """On a full disk nothing half-written is left, and what was there before is whole."""
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager

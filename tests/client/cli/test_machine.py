@@ -1,7 +1,5 @@
 """What the doctor says of a bare machine, and what a command says whose extra is missing."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess

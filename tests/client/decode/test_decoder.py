@@ -1,7 +1,5 @@
 """Decoding on worker threads: newest first, bounded, and one broken avatar harms no other."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

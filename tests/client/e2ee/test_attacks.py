@@ -1,7 +1,5 @@
 """What a relay without the secret tries: forged comings and goings, other labels, mirrors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -4,8 +4,6 @@ The known answers are those of RFC 9605: headers of appendix C.1, and of appendi
 cipher suite 4, AES_128_GCM_SHA256_128.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Who can open what, when: joining, leaving, lost whispers, lies."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ nothing is believed but what a member wrote, to us, in this room.
 The known answers of RFC 9605 stand in ``test_frames.py``.
 """
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Dozens of calls on a relay that does what it should not; more with ``MALICE_RUNS=10000``."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """The file with the room secret, and the command that makes it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

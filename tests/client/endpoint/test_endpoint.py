@@ -1,7 +1,5 @@
 """A receiver as a program of its own holds it: its beginning, its end, and what fails beside it."""
 
-from __future__ import annotations
-
 import asyncio
 import queue
 import threading

@@ -1,7 +1,5 @@
 """The playout buffer as its callers see it, with literal times."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

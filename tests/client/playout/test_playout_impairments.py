@@ -4,8 +4,6 @@ Each row's limits are what was seen, rounded up by about a quarter. The display 
 stream at 30 fps, the trouble lasts seven seconds.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

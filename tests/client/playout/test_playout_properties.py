@@ -1,7 +1,5 @@
 """Whatever arrives: the display goes forwards, shows finite faces, in bounded steps and memory."""
 
-from __future__ import annotations
-
 import math
 from unittest import mock
 

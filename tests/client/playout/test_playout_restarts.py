@@ -1,21 +1,10 @@
 """Senders whose clock jumps, and who begin again, as the playout buffer's callers see them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 
-from helpers.playout_trial import (
-    FRAME_S,
-    WAY_S,
-    arrivals,
-    between,
-    play,
-    steps,
-    value_at,
-    value_of,
-)
+from helpers.playout_trial import FRAME_S, WAY_S, arrivals, between, play, steps, value_at, value_of
 from pica_client.playout.buffer import CEILING_S, Playout
 from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
 from pica_protocol.frames import Frame

@@ -1,7 +1,5 @@
 """What one does with one's own face while it is sent."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Callable, Iterator

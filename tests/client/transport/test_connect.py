@@ -1,7 +1,5 @@
 """Where a link leads and under which name, what a refusal means, and where a relay may send it."""
 
-from __future__ import annotations
-
 import base64
 
 import pytest

@@ -1,7 +1,5 @@
 """What is said of an address where something answers that is no relay."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -1,7 +1,5 @@
 """What keys and mouse mean, on a surface without a window."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest
@@ -10,14 +8,7 @@ from imgui_bundle import imgui
 from helpers.hand import Event, frame, hold, point, press
 from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
-from pica_client.ui.actions import (
-    ACTIONS,
-    Request,
-    help_lines,
-    keyboard,
-    mouse,
-    settle,
-)
+from pica_client.ui.actions import ACTIONS, Request, help_lines, keyboard, mouse, settle
 from pica_client.ui.state import LAYOUT_TITLES, ViewState
 from pica_client.ui.window import Surface
 from pica_client.voice.sound.settings import SoundSettings

@@ -1,7 +1,5 @@
 """The faces of a call on their way to the picture, without a viewer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Container
 

@@ -1,7 +1,5 @@
 """Names stand on chests: never over a face, never wider than their seat."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The form and the waiting card, filled in, clicked and typed on without a window."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """One's own face in the corner of the picture, drawn off the screen."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What stands over a call and beside it, clicked on without a window: bar, signs, names, panels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -16,14 +14,7 @@ from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus
 from pica_client.ui.actions import Action, Request
-from pica_client.ui.call_view import (
-    NOTICE_S,
-    CallView,
-    NoticeBoard,
-    OwnFaceView,
-    Panel,
-    PersonView,
-)
+from pica_client.ui.call_view import NOTICE_S, CallView, NoticeBoard, OwnFaceView, Panel, PersonView
 from pica_client.ui.overlay import (
     banner,
     call_signs,

@@ -1,7 +1,5 @@
 """Recordings: playable, at the times the frames were drawn."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From the options of `pica view` to the connection that is asked for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The user's own preferences: kept whole, never in the way, never a secret among them."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The viewer's loop, off the screen: faces in, pictures and a report out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A real window on an X server of its own, and the surface without one: input, drawing, sizes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.spoken import (
-    CLOCK_OFFSET_US,
-    NETWORK_S,
-    SpokenDecoder,
-    hum,
-    packet,
-    usual_arrival_s,
-)
+from helpers.spoken import CLOCK_OFFSET_US, NETWORK_S, SpokenDecoder, hum, packet, usual_arrival_s
 from pica_client.voice.jitter_buffer import (
     CEILING_S,
     CODEC_DELAY_S,

@@ -1,7 +1,5 @@
 """Reading and writing avatar files: what goes in comes out, and nothing hostile comes in."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict

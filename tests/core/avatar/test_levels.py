@@ -1,7 +1,5 @@
 """Levels of detail: which an avatar has, what they cost in error, what a file may say of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The sender's encoder, the mesh, and `pica avatar info`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

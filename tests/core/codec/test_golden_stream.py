@@ -1,7 +1,5 @@
 """The bytes of the bitstream: golden payloads give golden numbers, in both decoders."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from typing import Any

@@ -1,7 +1,5 @@
 """A latent stream: every frame alone, exact, bounded, silent while nothing moves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The range coder: what is written is read again, and nothing hostile comes in."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ The fourth, GLSL, is judged on the same footing in `tests/client/render`, where 
 context. Tolerances and their reasons stand in `tests/helpers/tolerances.py`.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The baseline in torch: it decodes what ONNX decodes, and begins as the mean face."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

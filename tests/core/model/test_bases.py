@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from pica_core.avatar.linear import (
-    REGION,
-    components_of,
-    fit_bases,
-    split_bases,
-)
+from pica_core.avatar.linear import REGION, components_of, fit_bases, split_bases
 from pica_core.errors import CaptureError
 from pica_core.types import FloatArray
 

@@ -1,7 +1,5 @@
 """The torch model against the paper's numbers."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import nn

@@ -1,7 +1,5 @@
 """The rows of the paper's tables: sizes, costs, and one answer from torch, numpy and ONNX."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

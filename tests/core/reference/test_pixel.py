@@ -1,16 +1,10 @@
 """The numpy pixel decoder: sampling rules, sizes, and agreement with a plain loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_core.reference import (
-    count_parameters,
-    decode_pixels,
-    encode_surface,
-)
+from pica_core.reference import count_parameters, decode_pixels, encode_surface
 from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.unit

@@ -1,7 +1,5 @@
 """Figures of merit on cases that a person can follow, and the paper's tables from small runs."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every loss against an independent twin, and on a case that one can follow."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -11,11 +9,7 @@ import torch
 from torch import Tensor
 
 from pica_core.train import losses
-from pica_core.train.losses import (
-    follow_mean,
-    laplacian_smoothness,
-    mesh_laplacian,
-)
+from pica_core.train.losses import follow_mean, laplacian_smoothness, mesh_laplacian
 from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.train

@@ -1,7 +1,5 @@
 """Triangle ids from GL and the interpolation in torch."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Steps that a CUDA graph could repeat, and what repeats them, without a GPU."""
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -158,5 +156,5 @@ def test_a_replayed_step_makes_room_for_what_it_had_to_leave_out(
 class NoStream:
     """Stands for a stream of a GPU."""
 
-    def wait_stream(self, _: NoStream) -> None:
+    def wait_stream(self, _: "NoStream") -> None:
         """Nothing runs beside anything."""

@@ -1,7 +1,5 @@
 """Training really learns, resumes to the same numbers, and ends in a file that can be used."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

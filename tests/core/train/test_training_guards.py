@@ -1,7 +1,5 @@
 """A run that goes wrong says so, and never loses its last good checkpoint."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

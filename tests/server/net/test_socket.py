@@ -234,9 +234,7 @@ class QuietServer:
         pass
 
 
-def open_relay_socket(
-    transport: DeadTransport | None = None,
-) -> tuple[RelaySocket, DeadTransport]:
+def open_relay_socket(transport: DeadTransport | None = None) -> tuple[RelaySocket, DeadTransport]:
     websocket = RelaySocket(ServerProtocol(state=State.OPEN), cast(Server, QuietServer()))
     websocket.guard = SocketGuard(handshakes=1, per_address=1, per_s=1, burst=1)
     websocket.stats, websocket.silent = RelayStats(), set()

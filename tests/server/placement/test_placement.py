@@ -261,9 +261,7 @@ async def test_without_the_bucket_rooms_are_made_where_they_are_asked_for() -> N
 
 @pytest.mark.parametrize("is_late", [False, True])
 @in_virtual_time
-async def test_of_two_rooms_of_one_name_the_older_stays_whoever_writes_first(
-    is_late: bool,
-) -> None:
+async def test_of_two_rooms_of_one_name_the_older_stays_whoever_writes_first(is_late: bool) -> None:
     async with Cluster() as cluster:
         a, b = Relay(cluster.store, since_s=7.0), Relay(cluster.store, since_s=5.0)
         for relay in (a, b):

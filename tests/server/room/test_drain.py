@@ -5,14 +5,7 @@ import pytest
 from helpers.members import Member
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import (
-    Bye,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    UpdateMetadata,
-    Whisper,
-)
+from pica_protocol.messages import Bye, PeerJoined, PeerLeft, PeerUpdated, UpdateMetadata, Whisper
 from pica_protocol.session import Closed
 from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
 from pica_server.relay import Relay

@@ -6,14 +6,7 @@ from helpers.members import Member, hub_with
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import (
-    Bye,
-    Join,
-    Joined,
-    PeerJoined,
-    PeerLeft,
-    Whisper,
-)
+from pica_protocol.messages import Bye, Join, Joined, PeerJoined, PeerLeft, Whisper
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.limits import RefusalError
 from pica_server.room.hub import Hub

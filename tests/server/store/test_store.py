@@ -5,15 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.store_peers import (
-    ask,
-    fake_avatar,
-    id_of,
-    left_in,
-    store_relay,
-    talk,
-    upload,
-)
+from helpers.store_peers import ask, fake_avatar, id_of, left_in, store_relay, talk, upload
 from pica_core.avatar import file as avatar_file
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode

@@ -127,9 +127,7 @@ def workers() -> list[int]:
     return [p for p in pids if b"sound.worker" in Path(f"/proc/{p}/cmdline").read_bytes()]
 
 
-def test_another_loudspeaker_takes_over_and_one_unplugged_is_replaced(
-    sound: SoundProcess,
-) -> None:
+def test_another_loudspeaker_takes_over_and_one_unplugged_is_replaced(sound: SoundProcess) -> None:
     leaves_s: list[float] = []
     sound.hand_mix_to(lambda mix, at_s: leaves_s.append(at_s))
     sound.follow(SoundSettings(speaker="Mono44k"))

@@ -1,7 +1,5 @@
 """Whatever is damaged in a capture is a CaptureError that names the file, when it is read."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

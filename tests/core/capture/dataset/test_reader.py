@@ -1,7 +1,5 @@
 """Captures of others, and captures with holes."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from pathlib import Path

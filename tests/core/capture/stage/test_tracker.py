@@ -1,7 +1,5 @@
 """What the stage gets wrong on purpose, as trackers do; and how heads move."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

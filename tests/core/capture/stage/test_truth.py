@@ -1,7 +1,5 @@
 """Images, depth, masks, poses and meshes of a capture agree, to fractions of pixels and of mm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Levels: near to the full model, without cracks, and nothing else changed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -11,13 +9,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec
 from pica_core.model.networks import sample_map
 from pica_core.train.lod import levels
-from pica_core.train.lod.exits import (
-    FaceSet,
-    FrozenDecoder,
-    fit_convolution,
-    fit_local,
-    fit_map,
-)
+from pica_core.train.lod.exits import FaceSet, FrozenDecoder, fit_convolution, fit_local, fit_map
 from pica_core.train.lod.levels import seen_vertices
 from pica_core.train.lod.simplify import Simplifier
 
