@@ -27,7 +27,7 @@ static: lint types imports docs extras
 quick: lint
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --hypothesis-profile quick \
 		-m "unit and not slow" --ignore tests/call --ignore tests/web --ignore tests/core/model \
-		--ignore tests/core/train $(PYTEST)
+		--ignore tests/core/graphs --ignore tests/core/train $(PYTEST)
 
 lint: .venv/.ready-test
 	$(BIN)/ruff format --check .

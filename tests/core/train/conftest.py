@@ -1,4 +1,4 @@
-"""What tests of the core share."""
+"""What tests of training share."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from helpers.small_capture import TINY, render_capture
+from helpers.small_capture import render_capture
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.train.data import TrainingData
@@ -33,11 +33,3 @@ def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def data(captured: Path) -> TrainingData:
     """The same as training reads it."""
     return TrainingData(Capture.open(captured))
-
-
-@pytest.fixture(scope="session")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A capture of the options `TINY`, to be read alone."""
-    folder = tmp_path_factory.mktemp("rendered") / "S1"
-    render_capture(TINY, folder)
-    return folder
