@@ -127,10 +127,26 @@ def test_the_list_has_a_line_for_every_command() -> None:
         assert f"  {name:{width}}{row.summary()}\n" in f"{text}\n"
 
 
-@pytest.mark.parametrize("words", [["--help"], ["relay", "--help"]])
-def test_a_relay_and_the_list_of_commands_import_no_numpy(words: list[str]) -> None:
-    code = (
-        "import sys; from pica_command.main import main; main(sys.argv[1:]);"
-        "sys.exit(bool({'numpy', 'torch', 'moderngl'} & sys.modules.keys()))"
-    )
-    subprocess.run([sys.executable, "-c", code, *words], check=True, stdout=subprocess.DEVNULL)
+RELAY = """
+main(["--help"])
+main(["relay", "--help"])
+"""
+SENDER = """
+import importlib
+for name in "cli.send cli.view cli.demo endpoint call.call".split():
+    importlib.import_module(f"pica_client.{name}")
+"""
+
+
+@pytest.mark.parametrize(
+    ("absent", "script"),
+    [
+        ("numpy torch moderngl", RELAY),
+        ("torch moderngl glfw onnx onnxruntime PIL av cryptography", SENDER),
+    ],
+    ids=["a relay", "a sender"],
+)
+def test_nothing_is_imported_but_what_is_needed(absent: str, script: str) -> None:
+    begin = f"import sys; sys.modules |= dict.fromkeys({absent.split()})"  # none can be imported
+    code = f"{begin}\nfrom pica_command.main import main{script}"
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
