@@ -4,13 +4,12 @@ On loopback and a real clock, because files come and go in threads.
 """
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.store_peers import store_relay
+from helpers.store_peers import store_relay, until
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.fetch import AvatarCache, AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
@@ -23,14 +22,6 @@ from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar
 
 pytestmark = pytest.mark.call
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(20_000):
-        if condition():
-            return
-        await asyncio.sleep(0.001)
-    raise AssertionError("it did not happen")
 
 
 @pytest.mark.parametrize("also_views", [False, True], ids=["sender", "viewer that sends"])

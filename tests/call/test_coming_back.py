@@ -62,9 +62,7 @@ class Display:
 
 
 async def break_calls(
-    broken: str,
-    *,
-    how: Callable[[Network, str], None] = Network.reset,
+    broken: str, *, how: Callable[[Network, str], None] = Network.reset
 ) -> tuple[Display, dict[str, object], dict[str, object], dict[str, object]]:
     """A sender and a receiver; the connection of one of them breaks at 8 s."""
     network = current_network()

@@ -60,26 +60,8 @@ def link(relay: Relay, host: str, name: str) -> LinkConfig:
     return LinkConfig(url=f"ws://{host}:{port}", room=ROOM, name=name)
 
 
-async def watch(receiver: Receiver, watched: Watched, *, warm_up_s: float, seconds: float) -> None:
-    """Look at the call sixty times a second; begin to count after the warm-up."""
-    loop, call = asyncio.get_running_loop(), receiver.call
-    running = asyncio.create_task(receiver.run())
-    await asyncio.sleep(warm_up_s)
-    call.begin_window(loop.time())
-    watched.delays_s.clear()
-    end_s = loop.time() + seconds
-    while loop.time() < end_s:
-        await asyncio.sleep(1 / 60)
-        call.faces(loop.time())
-    watched.stats = receiver.stats(loop.time())
-    receiver.stop()
-    await running
-
-
 async def hold_call(
-    networks: dict[str, Impairment],
-    *,
-    down: Impairment | None = None,
+    networks: dict[str, Impairment], *, down: Impairment | None = None
 ) -> tuple[Watched, list[dict[str, Any]], dict[str, Any]]:
     """Five senders, a relay and a receiver, measured for `SECONDS` after four of warming up.
 
@@ -90,8 +72,7 @@ async def hold_call(
     Returns:
         What the receiver saw, what the senders say, what the relay says.
     """
-    network = current_network()
-    watched = Watched()
+    loop, network, watched = asyncio.get_running_loop(), current_network(), Watched()
     async with Relay(RelayConfig(port=0)) as relay:
         for name in PEERS:
             network.route(name, up=networks.get(name, Wire()))
@@ -105,9 +86,16 @@ async def hold_call(
         receiver = Receiver(link(relay, "viewer", "viewer"), call)
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(run_senders(senders))
-            tasks.create_task(watch(receiver, watched, warm_up_s=4, seconds=SECONDS))
-        relay_stats = relay.stats()
-    return watched, sending.result(), relay_stats
+            tasks.create_task(receiver.run())
+            await asyncio.sleep(4)
+            call.begin_window(loop.time())
+            watched.delays_s.clear()
+            for _ in range(round(60 * SECONDS)):
+                await asyncio.sleep(1 / 60)
+                call.faces(loop.time())
+            watched.stats = receiver.stats(loop.time())
+            receiver.stop()
+        return watched, sending.result(), relay.stats()
 
 
 @in_virtual_time

@@ -109,10 +109,7 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
 
 
 def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
-    window_of: Callable[[list[Event]], None],
-    library: AvatarLibrary,
-    relay_url: str,
-    tmp_path: Path,
+    window_of: Callable[[list[Event]], None], library: AvatarLibrary, relay_url: str, tmp_path: Path
 ) -> None:
     window_of([press(imgui.Key.enter)])
     kept = PreferencesFile(tmp_path)
@@ -121,12 +118,7 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
     result = view_calls(OPTIONS, state, library, kept)
     assert result["frames_rendered"] > 0
     found = kept.load()
-    assert (found.url, found.room, found.name, found.layout) == (
-        relay_url,
-        "lobby",
-        "Ada",
-        "grid",
-    )
+    assert (found.url, found.room, found.name, found.layout) == (relay_url, "lobby", "Ada", "grid")
     assert "a-secret" not in kept.path.read_text()
 
 

@@ -154,23 +154,43 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
 
 
 @in_virtual_time
-async def test_sealed_voices_and_faces_open_side_by_side_and_only_with_the_secret() -> None:
+async def test_sealed_voices_and_faces_open_at_once_and_only_for_who_has_the_secret() -> None:
+    loop, delays_s = asyncio.get_running_loop(), {"ada": 0.05, "dee": 0.08}
+    for name, delay_s in delays_s.items():
+        way = Wire(delay_s=delay_s)
+        current_network().route(name, up=way, down=way)
     with TemporaryDirectory() as folder:
         secret_file = Path(folder) / "room.secret"
         save_secret(secret_file, RoomSecret.new())
-        async with Relay(RelayConfig(port=0)) as relay:
+        async with Relay(RelayConfig(port=0)) as relay, asyncio.TaskGroup() as tasks:
             ada = Person(relay.url, "ada", speaks=True, is_seen=True, secret_file=secret_file)
-            ben = Person(relay.url, "ben", secret_file=secret_file)
+            ben, dee = (Person(relay.url, name, secret_file=secret_file) for name in ("ben", "dee"))
             eve = Person(relay.url, "eve")
-            await meet([ada, ben, eve], 4.0)
-        assert len(ben.packets) > 75
-        assert ben.seen > 80
-        assert len({len(packet.payload) for packet in ben.packets}) == 1  # sizes tell no words
-        guard = ben.receiver.link.guard
-        assert guard is not None
-        assert guard.stats()["replayed"] == guard.stats()["forged"] == 0
-        said = {packet.payload for packet in ben.packets}
-        assert all(packet.payload not in said for packet, _ in eve.heard.get("p1", []))
+            tasks.create_task(meet([ada, ben, eve], 6.0))
+            await asyncio.sleep(2.0)
+            tasks.create_task(meet([dee], 2.0))
+            while not dee.receiver.link.is_joined:  # noqa: ASYNC110
+                await asyncio.sleep(0.001)
+            joined_s = loop.time()
+            await asyncio.sleep(1.0)
+            guards = [person.receiver.link.guard for person in (ada, ben, dee)]
+            before = [guard.stats() for guard in guards if guard is not None]
+    assert len(ben.packets) > 125
+    assert ben.seen > 125
+    assert len({len(packet.payload) for packet in ben.packets}) == 1  # sizes tell no words
+    said = {packet.payload for packet in ben.packets}
+    assert all(packet.payload not in said for packet, _ in eve.heard.get("p1", []))
+    # Who comes later hears all from one round trip and one packet on, and nothing from before.
+    ((first, arrived_s), *_) = next(iter(dee.heard.values()))
+    assert first.captured_us / 1e6 > joined_s - 0.001
+    assert arrived_s - joined_s <= 2 * sum(delays_s.values()) + 2 * FRAME_US / 1e6
+    # Those who stay miss nothing when the keys change because somebody leaves.
+    after = [guard.stats() for guard in guards if guard is not None]
+    assert after[0]["key_changes"] == before[0]["key_changes"] + 1
+    assert after[1]["unreadable"] == before[1]["unreadable"]
+    assert after[1]["replayed"] == after[1]["forged"] == 0
+    numbers = [packet.sequence for packet in ben.packets]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 @pytest.mark.parametrize("who", ["ada", "ben"])

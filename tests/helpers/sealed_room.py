@@ -1,6 +1,6 @@
 """A room of key exchanges without sockets: whispers take a moment, and may be lost, or come twice.
 
-For tests of `pica_client.e2ee`; the real relay is in ``tests/call/test_e2ee.py``.
+For tests of `pica_client.e2ee`; the real relay is in ``tests/call/test_voice.py``.
 """
 
 import random
