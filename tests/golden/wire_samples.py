@@ -91,14 +91,7 @@ MESSAGES: dict[str, Message] = {
 }
 
 FRAMES: dict[str, list[Frame]] = {
-    "one frame": [
-        Frame(
-            stream=1,
-            sequence=65_535,
-            captured_us=123_456_700,
-            payload=b"opaque",
-        )
-    ],
+    "one frame": [Frame(stream=1, sequence=65_535, captured_us=123_456_700, payload=b"opaque")],
     "two frames": [
         Frame(stream=1, sequence=0, captured_us=33_300, payload=b"face"),
         Frame(stream=2, sequence=7, captured_us=0, payload=b""),

@@ -20,22 +20,9 @@ Event = Callable[[imgui.IO], None]
 Show = Callable[[], object]
 Rect = tuple[float, float, float, float]
 NOTED = (
-    "button",
-    "invisible_button",
-    "input_text",
-    "input_text_with_hint",
-    "checkbox",
-    "radio_button",
-    "selectable",
-    "begin_combo",
-    "image_button",
-    "collapsing_header",
-    "small_button",
-    "menu_item_simple",
-    "tree_node",
-    "tree_node_ex",
-    "slider_int",
-    "begin_tab_item",
+    *("button", "invisible_button", "image_button", "small_button", "radio_button", "checkbox"),
+    *("input_text", "input_text_with_hint", "begin_combo", "selectable", "slider_int"),
+    *("collapsing_header", "menu_item_simple", "tree_node", "tree_node_ex", "begin_tab_item"),
 )
 
 

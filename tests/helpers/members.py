@@ -83,9 +83,7 @@ class Member:
 
 
 def hub_with(
-    *names: str,
-    config: RelayConfig | None = None,
-    resumable: bool = False,
+    *names: str, config: RelayConfig | None = None, resumable: bool = False
 ) -> tuple[Hub, list[Member]]:
     """A hub with secrets that count up, and members of one room who have heard all there is."""
     hub = Hub(config or RelayConfig(), new_secret=counting_secrets())

@@ -129,13 +129,18 @@ async def ask(relay: Relay, path: str, *, method: str = "GET", **headers: str) -
     return Reply(int(status_line.split()[1]), found, body)
 
 
-async def until_counted(relay: Relay, what: str) -> None:
-    """Wait until the store has counted something."""
-    for _ in range(10_000):
-        if relay.stats()["store"].get(what):
+async def until(condition: Callable[[], object]) -> None:
+    """Wait until something is so."""
+    for _ in range(20_000):
+        if condition():
             return
         await asyncio.sleep(0.001)
-    raise AssertionError(f"no {what}: {relay.stats()['store']}")
+    raise AssertionError("it did not happen")
+
+
+async def until_counted(relay: Relay, what: str) -> None:
+    """Wait until the store has counted something."""
+    await until(lambda: relay.stats()["store"].get(what))
 
 
 def left_in(folder: Path) -> set[str]:

@@ -166,9 +166,7 @@ def _paint(
     lips = np.exp(-((turn / 0.3) ** 4) - ((tilt - 0.62) / 0.06) ** 4)
     hair = 1 / (1 + np.exp((tilt + 0.75 - 0.5 * (np.abs(turn) > 1.2)) * 20))
     maps = np.stack([eye, iris, lips, hair], axis=-1)
-    painted = {
-        "xyz.0.weight": (tensors["xyz.0.weight"] * 12).astype(np.float32),
-    }
+    painted = {"xyz.0.weight": (tensors["xyz.0.weight"] * 12).astype(np.float32)}
     num_masks = 0
     if "joint" in spec.encoding_channels:
         num_masks = 4

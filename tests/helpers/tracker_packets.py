@@ -23,10 +23,7 @@ LIVE_LINK_ORDER = (
 
 
 def live_link(
-    values: Mapping[str, float] | None,
-    *,
-    frame: int = 0,
-    sub_frame: float = 0.0,
+    values: Mapping[str, float] | None, *, frame: int = 0, sub_frame: float = 0.0
 ) -> bytes:
     """A datagram of Live Link Face at 60 frames a second; None for the values: no face."""
     packet = struct.pack(">B", 6)

@@ -15,10 +15,7 @@ ROOM_SIGNS = "abcXYZ019_.-"
     ("link", "invite"),
     [
         ("https://relay.example/standup", Invite(url="wss://relay.example", room="standup")),
-        (
-            "http://192.168.0.7:8765/standup",
-            Invite(url="ws://192.168.0.7:8765", room="standup"),
-        ),
+        ("http://192.168.0.7:8765/standup", Invite(url="ws://192.168.0.7:8765", room="standup")),
         (
             "https://relay.example/calls/standup#token=abc.def",
             Invite(url="wss://relay.example/calls", room="standup", token="abc.def"),

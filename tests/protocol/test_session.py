@@ -188,9 +188,7 @@ def session_in(state: State, *, is_client: bool) -> ClientSession | ServerSessio
     session: ClientSession | ServerSession
     if is_client:
         session = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
-        steps: list[tuple[State, Message]] = [
-            (State.JOINED, JOINED),
-        ]
+        steps: list[tuple[State, Message]] = [(State.JOINED, JOINED)]
     else:
         session = ServerSession(now=0.0)
         steps = [(State.DECIDING, SAMPLES[0])]

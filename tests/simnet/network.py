@@ -97,11 +97,7 @@ class Network:
         return client, protocols[0]
 
     def create_server(
-        self,
-        factory: ProtocolFactory,
-        host: str | None = None,
-        port: int = 0,
-        **_options: Any,
+        self, factory: ProtocolFactory, host: str | None = None, port: int = 0, **_options: Any
     ) -> "SimServer":
         """Stand in for ``loop.create_server``; port 0 takes a free one."""
         if port == 0:

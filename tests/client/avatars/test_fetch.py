@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from helpers.certificates import write_certificate
-from helpers.store_peers import ask, fake_avatar, id_of, store_relay, upload
+from helpers.store_peers import ask, fake_avatar, id_of, store_relay, until, upload
 from helpers.toy import make_toy_avatar
 from pica_client.avatars import fetch as avatar_fetch
 from pica_client.avatars.fetch import AvatarCache, AvatarFetcher, download, store_url
@@ -157,14 +157,6 @@ def fetcher(url: str | Callable[[], str], folder: Path) -> Iterator[AvatarFetche
         library.close()
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(20_000):
-        if condition():
-            return
-        await asyncio.sleep(0.001)
-    raise AssertionError("it did not happen")
-
-
 @asynccontextmanager
 async def relay_with(*files: bytes) -> AsyncIterator[str]:
     async with store_relay() as relay:
@@ -241,11 +233,7 @@ def test_more_wanted_avatars_than_can_be_forget_the_one_asked_for_longest_ago(
     with bad_relay(status=404) as url, fetcher(url, tmp_path) as fetching:
         for number in range(3):
             fetching.get(f"{number:064x}")
-        assert [fetching.note(f"{number:064x}") != "" for number in range(3)] == [
-            False,
-            True,
-            True,
-        ]
+        assert [fetching.note(f"{number:064x}") != "" for number in range(3)] == [False, True, True]
 
 
 # Giving

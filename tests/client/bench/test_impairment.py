@@ -1,13 +1,17 @@
 """The model of the network: what it does to frames, against what it says it does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.bench.impairment import BY_NAME, CALM, MAX_GAP_S, SCENARIOS, Impairment, Way
-from pica_client.bench.stream_trial import FramePath
+from pica_client.bench.stream_trial import FramePath, deliver
 from pica_client.errors import OptionError
+from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
+from pica_core.codec.latent_stream import LatentEncoder
 from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit
@@ -112,3 +116,21 @@ def test_an_impairment_out_of_range_is_refused() -> None:
     for arguments in ({"jitter_s": float("nan")}, {"loss_ratio": 1.0}):
         with pytest.raises(OptionError):
             Impairment(**arguments)
+
+
+def face(time_s: float) -> ExpressionFrame:
+    return ExpressionFrame(
+        captured_us=round(time_s * 1e6), arkit=np.full(NUM_ARKIT, time_s / 9, np.float32)
+    )
+
+
+def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
+    scenario = replace(BY_NAME["jitter-0"], trouble=replace(CALM, delay_s=0.3))
+    delivery = deliver(face, LatentEncoder(), scenario, 9.0)
+    transit = {
+        frame.sequence: arrived_s - frame.sequence / 30 for arrived_s, frame in delivery.faces
+    }
+    assert transit[89] == pytest.approx(0.02)
+    assert transit[90] == pytest.approx(0.3)
+    assert transit[179] == pytest.approx(0.3)
+    assert transit[200] == pytest.approx(0.02)

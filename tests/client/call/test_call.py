@@ -181,56 +181,33 @@ def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path:
     library.close()
 
 
-# Coded streams
+def play(call: Call, num_frames: int) -> list[Sent]:
+    """A performance arrives; gives its frames."""
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    sent = perform(num_frames=num_frames)
+    for each in sent:
+        coded = replace(frame(1, each.number, each.captured_us), payload=each.payload)
+        call.receive_event(coded, now=each.captured_us / 1e6)
+    return sent
 
 
-STREAM_ID = "c" * 64
-
-
-def coded_peer(name: str, stream: int) -> Peer:
-    track = Track(kind="face", avatar=STREAM_ID, stream=stream)
-    return Peer(peer_id=name, name=name, tracks=(track,))
-
-
-def coded(sent: Sent, stream: int = 1) -> Frame:
-    return Frame(
-        stream=stream,
-        sequence=sent.number,
-        captured_us=sent.captured_us,
-        payload=sent.payload,
-    )
-
-
-@pytest.fixture
-def coded_call() -> Call:
-    call = Call(LoadedAvatars({STREAM_ID: TOY, TOY_ID: TOY}))
-    call.receive_event(joined(coded_peer("ada", 1)), now=0.0)
-    return call
-
-
-def test_a_coded_stream_is_played(coded_call: Call) -> None:
-    sent = perform(num_frames=60)
-    for frame_sent in sent:
-        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
-    (face,) = coded_call.faces(59.5 / 30)
+def test_a_stream_is_played(call: Call) -> None:
+    sent = play(call, 60)
+    (face,) = call.faces(59.5 / 30)
     assert (face.status, face.note) == ("live", "")
-    assert coded_call.errors == 0
+    assert call.errors == 0
     assert face.latent is not None
     assert np.abs(face.latent - sent[-1].decoded().latent).max() < 1
 
 
-def test_coded_payloads_that_cannot_be_read_are_counted_and_the_face_is_held(
-    coded_call: Call,
-) -> None:
-    sent = perform(num_frames=8)
-    for frame_sent in sent:
-        coded_call.receive_event(coded(frame_sent), now=frame_sent.captured_us / 1e6)
-    before = coded_call.faces(0.3)[0].latent
+def test_payloads_that_cannot_be_read_are_counted_and_the_face_is_held(call: Call) -> None:
+    play(call, 8)
+    before = call.faces(0.3)[0].latent
     for number, payload in enumerate((b"\0", b"\xff" * 513, bytes(1000)), start=8):
         broken = Frame(stream=1, sequence=number, captured_us=number * 33_333, payload=payload)
-        coded_call.receive_event(broken, now=0.3)
-    assert coded_call.errors == 3
-    after = coded_call.faces(0.31)[0].latent
+        call.receive_event(broken, now=0.3)
+    assert call.errors == 3
+    after = call.faces(0.31)[0].latent
     assert before is not None
     assert after is not None
     assert np.abs(after - before).max() < 1

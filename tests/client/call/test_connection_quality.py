@@ -88,11 +88,7 @@ def test_a_stream_that_begins_again_or_is_muted_is_judged_anew() -> None:
     assert "poor" not in stream.run(10)
 
 
-healths = st.builds(
-    PlayoutReport,
-    received=st.integers(0, 10_000),
-    missed_s=st.floats(0, 100),
-)
+healths = st.builds(PlayoutReport, received=st.integers(0, 10_000), missed_s=st.floats(0, 100))
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 3), healths), max_size=60))

@@ -37,12 +37,7 @@ BASE_KEY = bytes(range(16))
 SECRET = RoomSecret(bytes(range(32)))
 WAY = ("p1", "p2")
 GENERATION = 9
-FRAME = Frame(
-    stream=1,
-    sequence=65535,
-    captured_us=123_456_700,
-    payload=b"opaque",
-)
+FRAME = Frame(stream=1, sequence=65535, captured_us=123_456_700, payload=b"opaque")
 METADATA = "0001ffff96b43800"
 SEALED = (
     "19012c1beedb2459b0a64d5b7e054a51a8b267de540dfb41b944552d5d5c042a7e9de2f11981dcbb"

@@ -95,12 +95,7 @@ def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
 def test_a_drifting_clock_neither_adds_delay_nor_conceals(ppm: float) -> None:
     trouble = Trouble(jitter_s=0.08, begin_s=0.0, end_s=120.0)
     playout = Playout()
-    ticks = play(
-        playout,
-        arrivals(trouble, seconds=120, drift_ppm=ppm),
-        seconds=120,
-        display_hz=30,
-    )
+    ticks = play(playout, arrivals(trouble, seconds=120, drift_ppm=ppm), seconds=120, display_hz=30)
     later = between(ticks, 20.0, 120.0)
     assert max(tick.report.delay_s for tick in later) <= INTERVAL_S + 0.082
     assert concealed_ratio(later) <= 0.01

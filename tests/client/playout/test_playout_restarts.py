@@ -1,7 +1,5 @@
 """Senders whose clock jumps, and who begin again, as the playout buffer's callers see them."""
 
-from dataclasses import replace
-
 import pytest
 
 from helpers.playout_trial import FRAME_S, WAY_S, arrivals, between, play, steps, value_at, value_of
@@ -13,7 +11,7 @@ pytestmark = pytest.mark.unit
 
 
 @pytest.mark.parametrize("fps", [5, 30])
-@pytest.mark.parametrize("jump_s", [-3600.0, -5.0, -0.3, -0.05, 0.05, 0.3, 5.0, 3600.0])
+@pytest.mark.parametrize("jump_s", [-3600.0, -0.3, 0.05, 5.0])
 def test_a_sender_whose_clock_jumps_plays_on_with_the_usual_delay(jump_s: float, fps: int) -> None:
     playout = Playout()
     frames = [
@@ -119,15 +117,3 @@ def test_a_stream_that_begins_in_a_stall_is_no_later_than_any_other_after_it() -
     ages_s = [tick.report.age_s for tick in between(ticks, 2.5, 12)]
     assert max(ages_s) <= CEILING_S + 0.001
     assert ages_s[-1] == pytest.approx(FRAME_S, abs=0.001)
-
-
-def test_duplicates_change_nothing() -> None:
-    once, thrice = Playout(), Playout()
-    frames = arrivals(seconds=5)
-    repeated = [frame for frame in frames for _ in range(3)]
-    ticks = [play(once, frames, seconds=5.1), play(thrice, repeated, seconds=5.1)]
-    assert thrice.report() == replace(once.report(), received=450)
-    for one, other in zip(*ticks, strict=True):
-        assert (one.played is None) == (other.played is None)
-        if one.played is not None and other.played is not None:
-            assert value_of(one.played) == value_of(other.played)

@@ -175,11 +175,7 @@ def test_every_glyph_of_a_name_is_found(hand: Hand, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "drawn"),
-    [
-        ("Ольга", "Ольга"),
-        ("Ada (מרים)", "Ada (םירמ)"),
-        ("مريم", "\ufee2\ufef3\ufeae\ufee3"),
-    ],
+    [("Ольга", "Ольга"), ("Ada (מרים)", "Ada (םירמ)"), ("مريم", "\ufee2\ufef3\ufeae\ufee3")],
 )
 def test_a_name_that_runs_to_the_left_is_turned_round_and_joined(name: str, drawn: str) -> None:
     assert as_drawn(name) == drawn
@@ -267,14 +263,7 @@ def test_the_waiting_page_says_where_and_who_only_watches(hand: Hand) -> None:
 
 def test_each_setting_is_one_click(hand: Hand) -> None:
     state = replace(SETTINGS)
-    labels = (
-        "View",
-        "##layout",
-        "Grid",
-        "##scale",
-        "125%",
-        "My own",
-    )
+    labels = ("View", "##layout", "Grid", "##scale", "125%", "My own")
     clicking(hand, side_panel, state, CALL, *labels)
     assert (state.layout, state.shows_self) == ("grid", False)
     assert state.scale == 1.25

@@ -167,8 +167,7 @@ def test_bases_of_more_components_than_fit_into_memory_are_refused_unread() -> N
 
 
 @pytest.mark.parametrize(
-    "spec",
-    [{"\x1b[2J" * 20_000: 1}, {"block": "\x1b[2J" * 20_000}, {"block": ["\x1b"] * 90_000}],
+    "spec", [{"\x1b[2J" * 20_000: 1}, {"block": "\x1b[2J" * 20_000}, {"block": ["\x1b"] * 90_000}]
 )
 def test_what_a_spec_holds_is_told_in_a_short_printable_line(
     toy_bytes: bytes, spec: dict[str, Any]

@@ -43,11 +43,7 @@ def model() -> PixelCodecAvatar:
 @pytest.fixture(scope="module")
 def avatar(model: PixelCodecAvatar) -> Avatar:
     toy = make_toy_avatar(spec=replace(model.spec, geometry="decoder"))
-    manifest = replace(
-        toy.manifest,
-        spec=model.spec,
-        position_scale_m=model.position_scale_m,
-    )
+    manifest = replace(toy.manifest, spec=model.spec, position_scale_m=model.position_scale_m)
     tensors = avatar_tensors(model, grid_uv(GRID), grid_faces(GRID, GRID))
     return with_toy_levels(Avatar(manifest, tensors))
 

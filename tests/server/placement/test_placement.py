@@ -302,8 +302,7 @@ def test_any_bytes_in_the_bucket_are_no_claim(key: str, data: bytes) -> None:
 
 STEPS = st.lists(
     st.tuples(
-        st.sampled_from(["ask", "empty", "again", "wait", "cut", "mend", "wipe"]),
-        st.integers(0, 2),
+        st.sampled_from(["ask", "empty", "again", "wait", "cut", "mend", "wipe"]), st.integers(0, 2)
     ),
     max_size=40,
 )

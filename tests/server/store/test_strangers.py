@@ -166,11 +166,7 @@ async def test_more_uploads_at_once_than_allowed_are_told_to_come_later(tmp_path
 
 
 async def test_who_offers_nothing_takes_no_place_of_those_who_upload(tmp_path: Path) -> None:
-    async with (
-        store_relay(tmp_path, uploads=1) as relay,
-        store_socket(relay),
-        store_socket(relay),
-    ):
+    async with store_relay(tmp_path, uploads=1) as relay, store_socket(relay), store_socket(relay):
         assert (await upload(relay, FILE)).code == CloseCode.NORMAL
 
 
