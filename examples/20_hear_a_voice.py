@@ -15,8 +15,7 @@ from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import SenderConfig, open_face
 from pica_client.transport.connect import LinkConfig
 from pica_client.voice.opus import OpusDecoder, level_of
-from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.source import SoundSource, shipped_speech
+from pica_client.voice.source import SoundSource, VoicePublisher, shipped_speech
 from pica_protocol.frames import Frame
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay

@@ -13,9 +13,8 @@ from pathlib import Path
 import av
 import numpy as np
 
-from pica_client.ui.recorder import Recorder
+from pica_client.ui.recorder import Recorder, Soundtrack
 from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
-from pica_client.voice.sound.soundtrack import Soundtrack
 
 BEGIN_S, SECONDS, FPS, TONE_S = 50.0, 3.0, 30, 51.0
 

@@ -23,7 +23,7 @@ from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link, sleep_until
 from pica_client.voice.mouth import SpokenFace
-from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.source import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar

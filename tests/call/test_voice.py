@@ -19,8 +19,7 @@ from pica_client.tracks import VOICE_KEY
 from pica_client.transport.connect import LinkConfig
 from pica_client.voice import opus
 from pica_client.voice.opus import FRAME_US
-from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.source import TURN_S, SoundSource
+from pica_client.voice.source import TURN_S, SoundSource, VoicePublisher
 from pica_core.avatar.file import load_avatar
 from pica_protocol.frames import Frame
 from pica_server.config import RelayConfig

@@ -24,7 +24,7 @@ import pytest
 
 from helpers.senders import LoadedAvatars, make_senders, run_senders
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.head import front_camera
+from pica_client.bench.harness import front_camera
 from pica_client.bench.scene import FPS, SPACING_M
 from pica_client.call.call import Call
 from pica_client.decode.decoder import OnnxDecoder

@@ -15,8 +15,15 @@ from typing import Any, NamedTuple
 import moderngl
 import numpy as np
 
-from pica_client.bench.harness import ratio, report, take_turns, timed, times_ms
-from pica_client.bench.head import front_camera, gl_context
+from pica_client.bench.harness import (
+    front_camera,
+    gl_context,
+    ratio,
+    report,
+    take_turns,
+    timed,
+    times_ms,
+)
 from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, onnxruntime
 from pica_client.decode.request import Parts
 from pica_client.errors import check_ranges

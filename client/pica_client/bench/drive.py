@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pica_client.bench.harness import Words, report
-from pica_client.bench.head import FaceRenderer, evaluation_cameras
+from pica_client.bench.harness import FaceRenderer, Words, evaluation_cameras, report
 from pica_client.errors import OptionError, check_ranges
 from pica_client.render.drawing import masked_mse
 from pica_client.sources import Source, open_source

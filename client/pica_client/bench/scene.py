@@ -18,8 +18,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from pica_client.bench.harness import report, take_turns, timed
-from pica_client.bench.head import front_camera, gl_context
+from pica_client.bench.harness import front_camera, gl_context, report, take_turns, timed
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult
 from pica_client.errors import check_ranges

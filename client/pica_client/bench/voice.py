@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from pica_client.bench.harness import Words, check_names, report
-from pica_client.bench.head import FaceRenderer
+from pica_client.bench.harness import FaceRenderer, Words, check_names, report
 from pica_client.bench.impairment import BY_NAME, CALM, SCENARIOS
 from pica_client.bench.stream_trial import (
     CLOCK_OFFSET_US,
@@ -44,8 +43,7 @@ from pica_client.voice.jitter_buffer import HeardVoice, JitterBuffer
 from pica_client.voice.opus import FRAME_S, PACKET_FRAMES, OpusDecoder, OpusEncoder
 from pica_client.voice.opus import FRAME_SAMPLES as FRAME
 from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
-from pica_client.voice.publisher import BITRATE_BPS
-from pica_client.voice.source import resampled, shipped_speech
+from pica_client.voice.source import BITRATE_BPS, resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder

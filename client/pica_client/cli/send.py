@@ -12,8 +12,7 @@ from pica_client.endpoint import Sender
 from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
 from pica_client.ui.options import JoinOptions, check_voice
-from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.source import open_voice
+from pica_client.voice.source import VoicePublisher, open_voice
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

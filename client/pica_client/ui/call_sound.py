@@ -9,11 +9,11 @@ from typing import Any
 from pica_client.call.call import Call
 from pica_client.call.roster import Member
 from pica_client.stats import summarise_ms
+from pica_client.ui.recorder import Soundtrack
 from pica_client.ui.state import Sent, ViewState
-from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings, SoundState
-from pica_client.voice.sound.soundtrack import Soundtrack
+from pica_client.voice.source import VoicePublisher
 from pica_core.types import FloatArray
 
 TAIL_S = 0.2

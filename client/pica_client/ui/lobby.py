@@ -23,7 +23,7 @@ from pica_client.render.room import STILL
 from pica_client.system import Closing
 from pica_client.transport.connect import LinkConfig
 from pica_client.ui import widgets
-from pica_client.ui.settings import SOURCES, microphone_picker
+from pica_client.ui.side import SOURCES, microphone_picker
 from pica_client.ui.state import ViewState
 from pica_client.ui.widgets import (
     BUTTON_PT,

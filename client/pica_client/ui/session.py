@@ -29,9 +29,8 @@ from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
-from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
-from pica_client.voice.source import open_voice
+from pica_client.voice.source import VoicePublisher, open_voice
 from pica_core.errors import AvatarFileError
 
 DEFAULT_NAME = "viewer"

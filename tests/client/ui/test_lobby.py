@@ -14,7 +14,7 @@ from pica_client.sources.registry import TRACKER_KINDS
 from pica_client.ui.lobby import JoinForm, connecting_panel, join_panel
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.session import link_of
-from pica_client.ui.settings import SOURCES
+from pica_client.ui.side import SOURCES
 from pica_client.ui.state import ViewState
 from pica_client.voice.sound.settings import SoundState
 

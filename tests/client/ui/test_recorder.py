@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from pica_client.errors import OptionError
-from pica_client.ui.recorder import KEY_FRAMES, Recorder, new_path
+from pica_client.ui.recorder import KEY_FRAMES, Recorder, Soundtrack, new_path
 from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
-from pica_client.voice.sound.soundtrack import Soundtrack
 
 av = pytest.importorskip("av")
 pytestmark = pytest.mark.unit

@@ -5,8 +5,7 @@ import pytest
 
 from pica_client.voice import opus
 from pica_client.voice.opus import FRAME_SAMPLES, FRAME_US
-from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.source import SoundSource
+from pica_client.voice.source import SoundSource, VoicePublisher
 from pica_core.types import FloatArray
 from pica_protocol.messages import Track
 

@@ -9,7 +9,7 @@ session of `pica_protocol`), while media is written and read here, by hand:
 - of a message that comes in, the frames' headers are walked, the payloads are not looked at.
 
 Payloads are noise with the sizes of a coded face. Unlike a real sender this one never falls silent.
-No event loop: `swarm` calls `on_readable` when the socket is.
+No event loop: `bench.Swarm` calls `on_readable` when the socket is.
 """
 
 import random

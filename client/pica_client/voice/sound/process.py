@@ -93,7 +93,7 @@ class SoundProcess:
         self._tell("receive", peer_id, packet, arrived_s)
 
     async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
-        """What the microphone captures; this is a `publisher.VoiceSource`."""
+        """What the microphone captures; this is a `source.VoiceSource`."""
         loop = asyncio.get_running_loop()
         frames: asyncio.Queue[tuple[FloatArray, int] | None] = asyncio.Queue(MAX_CAPTURED)
 

@@ -32,8 +32,7 @@ from pica_core.capture.me.face import (
     head_faces,
     landmark_places,
 )
-from pica_core.capture.me.scan import Scan
-from pica_core.capture.me.views import MeshViews
+from pica_core.capture.me.scan import MeshViews, Scan
 from pica_core.capture.person.choices import FaceModel, read_model
 from pica_core.capture.triangles import (
     edges,

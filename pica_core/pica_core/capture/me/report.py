@@ -14,8 +14,7 @@ from pica_core.capture.dataset.multiface import MATERIALS, write_aside
 from pica_core.capture.me.face import head_faces
 from pica_core.capture.me.head import OwnHead, chart_uv
 from pica_core.capture.me.register import Registered
-from pica_core.capture.me.scan import Scan
-from pica_core.capture.me.views import MeshViews
+from pica_core.capture.me.scan import MeshViews, Scan
 from pica_core.capture.person.choices import read_model
 from pica_core.capture.stage.subject import View
 from pica_core.types import ByteArray, FloatArray

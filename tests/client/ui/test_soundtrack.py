@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from pica_client.ui.recorder import MAX_ERROR_S, Soundtrack
 from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
-from pica_client.voice.sound.soundtrack import MAX_ERROR_S, Soundtrack
 
 pytestmark = pytest.mark.unit
 
