@@ -23,7 +23,8 @@ from pica_core.avatar.linear import fit_bases, split_bases
 from pica_core.avatar.spec import MAP_SIZE, VARIANTS, TopologyName
 from pica_core.camera import Camera
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.files import Topology
 from pica_core.errors import CaptureError
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE

@@ -32,7 +32,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.dataset.files import Topology
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 DEPTH_LIMIT_M = 0.010

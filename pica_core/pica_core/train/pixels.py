@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.dataset.files import Topology
 from pica_core.model.interface import Surface
 from pica_core.train.losses import screen_normals
 from pica_core.train.raster import Capacity, Rasteriser, Views

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from pica_core.camera import Camera
-from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.dataset.files import Topology
 from pica_core.errors import GraphicsError, ShapeError
 from pica_core.gl import create_context, link_program
 from pica_core.types import FloatArray, IntArray

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from pica_core.camera import Camera, look_at
-from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.dataset.files import Topology
 from pica_core.errors import ShapeError
 from pica_core.train.pixels import MeshDrawer, hit_points, interpolation_weights
 from pica_core.train.raster import GLRasteriser, TensorRasteriser, Views

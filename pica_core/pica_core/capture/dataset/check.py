@@ -16,8 +16,8 @@ from PIL import Image, ImageDraw
 
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.dataset import Capture, CaptureFrame
-from pica_core.capture.dataset.files import SPLITS
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.files import SPLITS, CaptureFrame
 from pica_core.errors import CaptureError
 from pica_core.types import Array, Float64Array, Int64Array
 

@@ -24,16 +24,7 @@ import numpy as np
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset import files, multiface
-from pica_core.capture.dataset.files import (
-    SPLITS,
-    CaptureFrame,
-    Topology,
-    load_image,
-    read_frames,
-    read_topology,
-    read_transform,
-    read_vertices,
-)
+from pica_core.capture.dataset.files import CaptureFrame, Topology
 from pica_core.errors import CaptureError
 from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array
 
@@ -48,7 +39,7 @@ def is_published(root: Path) -> bool:
     return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
 
 
-def describe_published(root: Path) -> tuple[dict[str, Any], tuple[files.CaptureFrame, ...]]:
+def describe_published(root: Path) -> tuple[dict[str, Any], tuple[CaptureFrame, ...]]:
     """What `capture.json` and the tables would say."""
     path = root / multiface.FRAME_LIST
     names: dict[tuple[str, str], None] = {}
@@ -63,9 +54,7 @@ def describe_published(root: Path) -> tuple[dict[str, Any], tuple[files.CaptureF
     middle = min(HELD_OUT_EVERY // 2, len(segments) - 1)
     held_out = segments[middle::HELD_OUT_EVERY] if len(segments) > 1 else []
     frames = tuple(
-        files.CaptureFrame(
-            segment=segment, name=name, split="test" if segment in held_out else "train"
-        )
+        CaptureFrame(segment=segment, name=name, split="test" if segment in held_out else "train")
         for segment, name in names
     )
     width, height = _image_size(root)
@@ -140,8 +129,8 @@ def read_obj(path: Path) -> ObjMesh:
 
 
 def published_topology(
-    root: Path, frames: tuple[files.CaptureFrame, ...]
-) -> tuple[files.Topology, Int64Array, int]:
+    root: Path, frames: tuple[CaptureFrame, ...]
+) -> tuple[Topology, Int64Array, int]:
     """Topology of the first OBJ, the OBJ's vertex for each of its vertices, and how many it has."""
     for frame in frames:
         path = (root / multiface.mesh_path(frame.segment, frame.name)).with_suffix(".obj")
@@ -161,11 +150,8 @@ def published_topology(
     uv = obj.uv.astype(np.float32)[pairs[:, 1]]
     if not np.isfinite(uv).all():
         raise CaptureError(f"{path}: a texture coordinate is not finite")
-    topology = files.Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
+    topology = Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
     return topology, np.ascontiguousarray(pairs[:, 0]), count
-
-
-__all__ = ["SPLITS", "Capture", "CaptureFrame", "Topology"]
 
 
 class Capture:
@@ -199,11 +185,11 @@ class Capture:
             schema = self.info.get("schema")
             if schema != multiface.SCHEMA:
                 raise CaptureError(f"{where}: schema is {schema!r}; {multiface.SCHEMA} is known")
-            self.topology, self.tracked_topology, self.dense_vertex = read_topology(
+            self.topology, self.tracked_topology, self.dense_vertex = files.read_topology(
                 path / multiface.TOPOLOGY
             )
             self._num_mesh_vertices = len(self.tracked_topology.vertex_uv)
-            frames = read_frames(path / multiface.EXPRESSIONS)
+            frames = files.read_frames(path / multiface.EXPRESSIONS)
         sizes: list[Any] = [self.info.get(name) for name in ("width", "height", "texture_size")]
         if not all(isinstance(size, int) and 0 < size <= 8192 for size in sizes):
             raise CaptureError(
@@ -306,21 +292,21 @@ class Capture:
     def _load(self, kind: str, mode: str, frame: CaptureFrame, camera: str) -> Array:
         view = self.camera(camera)
         path = self.path / multiface.image_path(kind, frame.segment, camera, frame.name)
-        return load_image(path, mode, (view.width, view.height))
+        return files.load_image(path, mode, (view.width, view.height))
 
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
         path = self.path / multiface.mesh_path(frame.segment, frame.name)
-        return read_vertices(path, self._num_mesh_vertices)[self._mesh_vertex]
+        return files.read_vertices(path, self._num_mesh_vertices)[self._mesh_vertex]
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``."""
         path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
-        return read_vertices(path, len(self.topology.vertex_uv))
+        return files.read_vertices(path, len(self.topology.vertex_uv))
 
     def head_to_world(self, frame: CaptureFrame) -> Float64Array:
         """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
-        return read_transform(self.path / multiface.transform_path(frame.segment, frame.name))
+        return files.read_transform(self.path / multiface.transform_path(frame.segment, frame.name))
 
     def head_camera(self, frame: CaptureFrame, name: str) -> Camera:
         """A camera in the frame's head axes: it projects the frame's meshes as they are."""
@@ -330,4 +316,4 @@ class Capture:
         """Average texture, row 0 is v = 0, black where no camera looked. uint8 ``[S, S, 3]``."""
         path = multiface.texture_path(self.texture_size, frame.segment, frame.name)
         size = (self.texture_size, self.texture_size)
-        return np.ascontiguousarray(load_image(self.path / path, "RGB", size)[::-1])
+        return np.ascontiguousarray(files.load_image(self.path / path, "RGB", size)[::-1])

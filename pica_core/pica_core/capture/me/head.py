@@ -13,6 +13,7 @@ import io
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -25,7 +26,7 @@ from pica_core.capture.person.subject import dress, paint
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.paint import Growth
-from pica_core.capture.stage.subject import BAKE_SIZE, Subject
+from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import components
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray, Float64Array
@@ -116,11 +117,9 @@ def read_head(path: Path) -> OwnHead:
 
 
 class OwnSubject(Subject):
-    """A fitted head on the stage."""
+    """A fitted head on the stage, whose further options are those of `Subject`."""
 
-    def __init__(
-        self, own: OwnHead, *, bake_size: int = BAKE_SIZE, self_shadow: bool = True
-    ) -> None:
+    def __init__(self, own: OwnHead, **options: Any) -> None:
         head, growth = own_rig(own)
         super().__init__(
             head,
@@ -132,8 +131,7 @@ class OwnSubject(Subject):
             albedo={0: own.texture},
             look=paint(own.person) | own.look | {"over_paint": 1.0},
             growth=growth,
-            bake_size=bake_size,
-            self_shadow=self_shadow,
+            **options,
         )
 
 

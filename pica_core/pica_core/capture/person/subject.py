@@ -37,7 +37,7 @@ from pica_core.capture.rig.head import EyeSurface, PoseGuard, RigHead, outwards
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.paint import Growth
-from pica_core.capture.stage.subject import BAKE_SIZE, Subject
+from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import face_normals, nearest, unfolded, vertex_normals
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array
 
@@ -339,16 +339,9 @@ def paint(person: Person) -> dict[str, Any]:
 
 
 class PersonSubject(Subject):
-    """A person on the stage."""
+    """A person on the stage, whose further options are those of `Subject`."""
 
-    def __init__(
-        self,
-        person: Person,
-        *,
-        bake_size: int = BAKE_SIZE,
-        self_shadow: bool = True,
-        coarse: bool = False,
-    ) -> None:
+    def __init__(self, person: Person, *, coarse: bool = False, **options: Any) -> None:
         head, growth = make_head(person, coarse=coarse)
         super().__init__(
             head,
@@ -359,8 +352,7 @@ class PersonSubject(Subject):
             },
             look=paint(person),
             growth=growth,
-            bake_size=bake_size,
-            self_shadow=self_shadow,
+            **options,
         )
 
 

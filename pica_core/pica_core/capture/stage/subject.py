@@ -295,7 +295,7 @@ def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
 
 
 class RigSubject(Subject):
-    """A rig on the stage, from a glTF file.
+    """A rig on the stage, from a glTF file, whose further options are those of `Subject`.
 
     `table` is the user's table of names.
 
@@ -303,24 +303,12 @@ class RigSubject(Subject):
         CaptureError: Anything that is wrong with the files.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        table: Path | None = None,
-        *,
-        bake_size: int = BAKE_SIZE,
-        self_shadow: bool = True,
-    ) -> None:
+    def __init__(self, path: Path, table: Path | None = None, **options: Any) -> None:
         names = read_names(table) if table is not None else None
         source = read_rig(path)
         head = make_rig(source, names)
-        super().__init__(
-            head,
-            describe_rig(path, source, head),
-            albedo=source.images,
-            bake_size=bake_size,
-            self_shadow=self_shadow,
-        )
+        about = describe_rig(path, source, head)
+        super().__init__(head, about, albedo=source.images, **options)
 
 
 def describe_rig(path: Path, source: RigSource, head: RigHead) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.small_capture import small_head
-from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.dataset.files import Topology
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.tracker import (
