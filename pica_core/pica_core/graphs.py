@@ -326,8 +326,5 @@ def baseline_graph(baseline: BaselineAvatar) -> bytes:
     graph.add("Reshape", last, graph.sizes(size, size, RGB_CHANNELS), output="texture")
     return graph.serialise(
         {"latent": [1, spec.num_latent], "view_direction": [1, VIEW_CHANNELS]},
-        {
-            "vertices": [spec.num_vertices, 3],
-            "texture": [size, size, RGB_CHANNELS],
-        },
+        {"vertices": [spec.num_vertices, 3], "texture": [size, size, RGB_CHANNELS]},
     )

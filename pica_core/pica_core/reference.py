@@ -171,10 +171,7 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
 
 
 def decode_expression_map(
-    avatar: Avatar,
-    latent: npt.ArrayLike,
-    view_direction: npt.ArrayLike,
-    level: int | None = None,
+    avatar: Avatar, latent: npt.ArrayLike, view_direction: npt.ArrayLike, level: int | None = None
 ) -> Array:
     """What the pixel decoder is told about every place of the face, seen from one side.
 

@@ -66,13 +66,7 @@ class SocketGuard:
     """Counts sockets from their first byte on, when there is no websocket yet to be told why."""
 
     def __init__(
-        self,
-        *,
-        handshakes: int,
-        per_address: int,
-        per_s: float,
-        burst: float,
-        most: int = 1 << 30,
+        self, *, handshakes: int, per_address: int, per_s: float, burst: float, most: int = 1 << 30
     ) -> None:
         """Begin without any: ``most`` sockets at once, so many handshakes of everybody and so many
         sockets of one address; new ones of an address come at ``per_s`` on average and ``burst`` at

@@ -94,12 +94,7 @@ def store_url(relay_url: str, identity: str) -> str:
     return f"{scheme}://{parts.netloc}{parts.path.rstrip('/')}{AVATARS_PATH}{identity}"
 
 
-def download(
-    relay_url: str,
-    identity: str,
-    *,
-    progress: Progress = lambda ratio: True,
-) -> bytes:
+def download(relay_url: str, identity: str, *, progress: Progress = lambda ratio: True) -> bytes:
     """Get an avatar file and check its hash; blocks.
 
     Args:

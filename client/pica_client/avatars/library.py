@@ -39,10 +39,7 @@ class AvatarLibrary:
     """Avatars in files: the shipped ones first, then those given."""
 
     def __init__(
-        self,
-        files: Iterable[Path] = (),
-        *,
-        shipped: Iterable[Path] | None = None,
+        self, files: Iterable[Path] = (), *, shipped: Iterable[Path] | None = None
     ) -> None:
         """Hash all files.
 

@@ -47,11 +47,7 @@ def timed(work: Callable[..., T], *arguments: Any) -> tuple[float, T]:
 
 
 def take_turns(
-    cases: Sequence[Case],
-    work: Callable[[Case, int], T],
-    *,
-    rounds: int,
-    warm_up: int,
+    cases: Sequence[Case], work: Callable[[Case, int], T], *, rounds: int, warm_up: int
 ) -> list[list[T]]:
     """Let every case work once a round, every second round backwards, and report progress.
 
@@ -126,8 +122,7 @@ def _words(_type: object, tokens: Sequence[Token]) -> tuple[str, ...]:
 
 
 Words = Annotated[
-    tuple[str, ...],
-    Parameter(converter=_words, n_tokens=1, metavar="NAMES", show_default=",".join),
+    tuple[str, ...], Parameter(converter=_words, n_tokens=1, metavar="NAMES", show_default=",".join)
 ]
 """A list as one word of the command line."""
 

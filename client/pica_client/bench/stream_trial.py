@@ -207,9 +207,7 @@ def deliver(
         sent += 1
     receive(seconds)
     return Delivery(
-        faces=tuple(came[FACE_STREAM]),
-        voices=tuple(came[VOICE_STREAM]),
-        seconds=seconds,
+        faces=tuple(came[FACE_STREAM]), voices=tuple(came[VOICE_STREAM]), seconds=seconds
     )
 
 

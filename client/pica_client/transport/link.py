@@ -190,12 +190,7 @@ class Link:
         return self._drops.total() - self._drops["muted"]
 
     def send_frame(
-        self,
-        payload: bytes,
-        captured_us: int,
-        *,
-        track: Track | None = None,
-        multiple: int = 1,
+        self, payload: bytes, captured_us: int, *, track: Track | None = None, multiple: int = 1
     ) -> bool:
         """Offer a frame of one of our tracks, by default of the first; see
         `ClientSession.send_frame`.

@@ -75,12 +75,7 @@ class CallSurface:
         status: How the call stands, as of the last frame.
     """
 
-    def __init__(
-        self,
-        status: Callable[[float], CallStatus] | None,
-        *,
-        has_pointer: bool,
-    ) -> None:
+    def __init__(self, status: Callable[[float], CallStatus] | None, *, has_pointer: bool) -> None:
         self.free = FreeShares()
         self.status = CallStatus()
         self._ask_status = status

@@ -108,11 +108,7 @@ def _name(person: PersonView, label: Rect) -> None:
 
 @contextmanager
 def _plate(
-    name: str,
-    place: Place,
-    pivot: Place,
-    width: float,
-    padding: Place = NAME_PADDING,
+    name: str, place: Place, pivot: Place, width: float, padding: Place = NAME_PADDING
 ) -> Iterator[None]:
     """A card on the picture for content of a width, which takes no input."""
     imgui.push_style_color(imgui.Col_.window_bg, PLATE)

@@ -200,12 +200,7 @@ def stay(
         else:
             stack.callback(sound.seat, ())
         call = Call(fetcher, ears=None if lacking else sound)
-        receiver = Receiver(
-            link,
-            call,
-            replace(own, voice=own_voice),
-            say=say,
-        )
+        receiver = Receiver(link, call, replace(own, voice=own_voice), say=say)
         receiver.say_recording(options.record is not None)
         stack.enter_context(receiver)
 
@@ -231,11 +226,7 @@ def stay(
         plays = CallSound(own_voice, None if lacking and voice is not sound else sound)
         window = None if lobby is None else lobby.window
         result = _show(options, state, receiver, plays, window, is_stopped)
-        return {
-            **result,
-            "voice": plays.report(call),
-            "avatars_fetched": fetcher.num_fetched,
-        }
+        return {**result, "voice": plays.report(call), "avatars_fetched": fetcher.num_fetched}
 
 
 def _show(

@@ -26,11 +26,7 @@ Side = Literal["none", "help", "participants", "settings"]
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {"layout": LAYOUTS, "scale": SCALES}
-LAYOUT_TITLES: Final[dict[Layout, str]] = {
-    "line": "Line",
-    "table": "Round table",
-    "grid": "Grid",
-}
+LAYOUT_TITLES: Final[dict[Layout, str]] = {"line": "Line", "table": "Round table", "grid": "Grid"}
 
 
 @dataclass(kw_only=True, slots=True)

@@ -399,10 +399,7 @@ class SelfView:
     """
 
     def __init__(
-        self,
-        context: moderngl.Context,
-        reflection: Reflection,
-        decode: DecodeChoice = "auto",
+        self, context: moderngl.Context, reflection: Reflection, decode: DecodeChoice = "auto"
     ) -> None:
         self._renderer = Renderer(context, (16, 12), RENDER)
         self._pool = DecodePool(OnnxDecoder)

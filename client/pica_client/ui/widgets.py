@@ -179,12 +179,7 @@ def note(text: str, *, tone: Tone = "plain", wrap: float = 0.0) -> None:
 
 
 def icon_button(
-    icon: str,
-    tooltip: str,
-    *,
-    keys: str = "",
-    tone: Tone = "plain",
-    size_pt: float = BUTTON_PT,
+    icon: str, tooltip: str, *, keys: str = "", tone: Tone = "plain", size_pt: float = BUTTON_PT
 ) -> bool:
     """A round button with an icon. Its tooltip names the key that does the same.
 

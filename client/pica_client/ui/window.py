@@ -265,10 +265,7 @@ class Window(Closing):
         ratio = self.size_px[0] / self.size[0]
         points = glfw.get_window_content_scale(self._window)[0]
         self.surface.begin(
-            now,
-            self.size,
-            content_scale=scale * max(points, 0.5) / ratio,
-            pixels_a_unit=ratio,
+            now, self.size, content_scale=scale * max(points, 0.5) / ratio, pixels_a_unit=ratio
         )
 
     def show(self, paint: Callable[[moderngl.Framebuffer], None]) -> None:

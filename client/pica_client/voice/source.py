@@ -116,11 +116,7 @@ class VoicePublisher:
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far."""
-        return {
-            "sent": self._sent,
-            "payload_bytes": self._payload_bytes,
-            "muted": self.is_muted,
-        }
+        return {"sent": self._sent, "payload_bytes": self._payload_bytes, "muted": self.is_muted}
 
 
 TURN_S: Final = 4.0

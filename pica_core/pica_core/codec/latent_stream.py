@@ -226,10 +226,7 @@ def encode_frame(numbers: list[int], quality: int, *, is_still: bool = False) ->
         is_still: Whether the sender falls silent after it.
     """
     parts = [part for part, places in PLACES.items() if any(numbers[places.start : places.stop])]
-    ranges = [
-        QUALITY_TABLE.ranges[quality],
-        HEADER_TABLE.ranges[sum(parts) + IS_STILL * is_still],
-    ]
+    ranges = [QUALITY_TABLE.ranges[quality], HEADER_TABLE.ranges[sum(parts) + IS_STILL * is_still]]
     for place in (place for part in parts for place in PLACES[part]):
         how = COEFFICIENTS[place]
         ahead = numbers[place] - (numbers[how.first] if how.first >= 0 else 0)

@@ -124,10 +124,7 @@ class PixelCodecAvatar(interface.AvatarModel):
 
 
 def make_model(
-    variant: str,
-    spec: AvatarSpec,
-    prior: FacePrior,
-    options: ModelOptions,
+    variant: str, spec: AvatarSpec, prior: FacePrior, options: ModelOptions
 ) -> AvatarModel:
     """Build a model of `VARIANTS`.
 

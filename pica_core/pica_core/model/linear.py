@@ -133,10 +133,7 @@ class LinearEncoder(LatentEncoder):
         read = position_map.flatten(2)[:, :, self.texels].flatten(1)
         code = (read @ self.projection.T).view(-1, 1, LATENT_SIZE, LATENT_SIZE)
         still = torch.full_like(code, CODE_LOG_VARIANCE)
-        return (
-            torch.cat([code, mean[:, 1:]], 1),
-            torch.cat([still, log_variance[:, 1:]], 1),
-        )
+        return (torch.cat([code, mean[:, 1:]], 1), torch.cat([still, log_variance[:, 1:]], 1))
 
 
 def code_scale(prior: LinearPrior) -> FloatArray:

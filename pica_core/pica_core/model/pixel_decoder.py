@@ -116,11 +116,7 @@ class Siren(nn.Module):
     """Layers sin(W x + b); the last one linear if `linear_output`."""
 
     def __init__(
-        self,
-        in_channels: int,
-        out_channels: Sequence[int],
-        *,
-        linear_output: bool,
+        self, in_channels: int, out_channels: Sequence[int], *, linear_output: bool
     ) -> None:
         super().__init__()
         self.linear_output = linear_output
@@ -173,12 +169,7 @@ class PixelDecoder(nn.Module):
     In the paper's sizes 307 parameters in `colour`, 36 in `xyz`, the rest in the encoding.
     """
 
-    def __init__(
-        self,
-        spec: AvatarSpec,
-        *,
-        encoding_amplitude: float = 1.0,
-    ) -> None:
+    def __init__(self, spec: AvatarSpec, *, encoding_amplitude: float = 1.0) -> None:
         super().__init__()
         self.encoding = SurfaceEncoding(spec, encoding_amplitude)
         self.xyz = Siren(3, XYZ_CHANNELS, linear_output=False)

@@ -154,11 +154,7 @@ class ModelEvaluator:
 
     @torch.no_grad()
     def draw(
-        self,
-        latent: Tensor,
-        camera: Camera,
-        *,
-        vertices_m: FloatArray | None = None,
+        self, latent: Tensor, camera: Camera, *, vertices_m: FloatArray | None = None
     ) -> Picture:
         """The picture of one latent through a camera in head axes.
 
@@ -231,10 +227,7 @@ def measure_views(
 
 
 def evaluate(
-    trainer: Trainer,
-    *,
-    max_frames: int = 25,
-    sources: tuple[Source, ...] = SOURCES,
+    trainer: Trainer, *, max_frames: int = 25, sources: tuple[Source, ...] = SOURCES
 ) -> list[dict[str, Any]]:
     """Measure a run on evenly spaced held-out frames, from the capture's evaluation views.
 

@@ -116,9 +116,7 @@ def _array(values: Tensor) -> FloatArray:
     return np.ascontiguousarray(values.detach().cpu().numpy(), np.float32)
 
 
-def _bounds_m(
-    data: TrainingData,
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _bounds_m(data: TrainingData) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """A box around all training meshes, head frame, metres."""
     train = data.meshes.dense_m[data.train_frames]
     low, high = (train.min((0, 1)) - MARGIN_M).tolist(), (train.max((0, 1)) + MARGIN_M).tolist()

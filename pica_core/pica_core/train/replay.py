@@ -28,10 +28,7 @@ class ReplayedStep:
     """
 
     def __init__(
-        self,
-        work: Callable[[Batch], Tensor],
-        capacities: Sequence[Capacity],
-        device: torch.device,
+        self, work: Callable[[Batch], Tensor], capacities: Sequence[Capacity], device: torch.device
     ) -> None:
         self._work, self._capacities, self._device = work, capacities, device
         self._left = WARM_UP

@@ -299,11 +299,7 @@ class Trainer:
 
 @contextmanager
 def open_trainer(
-    data: TrainingData,
-    config: TrainConfig,
-    run_dir: Path,
-    *,
-    device: torch.device | str = "cpu",
+    data: TrainingData, config: TrainConfig, run_dir: Path, *, device: torch.device | str = "cpu"
 ) -> Iterator[Trainer]:
     """A trainer with a rasteriser of its own; one of GL, on the CPU, is released at the end."""
     topology = data.meshes.topology(VARIANTS[config.variant].topology)

@@ -69,10 +69,7 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
 async def _run(options: RelayOptions) -> dict[str, Any]:
     from pica_server.relay import Relay  # `pica relay --help` does without it
 
-    with (
-        _signals_to_stop() as signals,
-        logging_to(sys.stderr, options.log, time.monotonic),
-    ):
+    with _signals_to_stop() as signals, logging_to(sys.stderr, options.log, time.monotonic):
         async with Relay(options.config, processor_s=time.process_time) as server:
             url = server.url
             _spare_the_collector()

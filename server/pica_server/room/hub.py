@@ -61,10 +61,7 @@ class Hub:
         self.connections = Connections(config, self.stats)
         self.overload = Overload()
         self.membership = Membership(
-            self.connections,
-            admit or (lambda join: Admission()),
-            self.overload,
-            new_secret,
+            self.connections, admit or (lambda join: Admission()), self.overload, new_secret
         )
         self._config = config
         self._departures: deque[tuple[float, str]] = deque()

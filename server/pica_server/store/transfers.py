@@ -108,12 +108,7 @@ class Transfers:
         return _refusal(websocket, HTTPStatus.SERVICE_UNAVAILABLE, text, **{"Retry-After": "1"})
 
     async def _send(
-        self,
-        store: AvatarStore,
-        websocket: RelaySocket,
-        request: Request,
-        identity: str,
-        size: int,
+        self, store: AvatarStore, websocket: RelaySocket, request: Request, identity: str, size: int
     ) -> Response:
         """Write the whole answer to the socket and close it; return its head."""
         headers = {**_FILE_HEADERS, "Content-Length": str(size), "Vary": "Origin"}

@@ -95,13 +95,7 @@ def read_model(*, coarse: bool = False) -> FaceModel:
         return np.flatnonzero(np.isin(used, table[name]))
 
     eyes = [
-        Eyeball(
-            side=side,
-            centre_m=np.zeros(3),
-            radius_m=0.0,
-            vertices=marked(name),
-            turned=False,
-        )
+        Eyeball(side=side, centre_m=np.zeros(3), radius_m=0.0, vertices=marked(name), turned=False)
         for side, name in zip((1.0, -1.0), EYES, strict=True)
     ]
     motion = _sums(table["motion"], 1)[:, used]

@@ -174,9 +174,7 @@ def _key(row: Row) -> Key:
 
 
 def _table(
-    rows: Sequence[Row],
-    head: Sequence[str],
-    cells: Callable[[Model, Sequence[Row]], Sequence[str]],
+    rows: Sequence[Row], head: Sequence[str], cells: Callable[[Model, Sequence[Row]], Sequence[str]]
 ) -> str:
     """A line for each model, by identity and in the order of `VARIANTS`: its identity, its variant
     (with its block where it has several), and its cells, made of its rows."""
