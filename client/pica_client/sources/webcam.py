@@ -98,6 +98,10 @@ FORMATS: Final = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}
 DEVICE_OPTIONS: Final = {"video_size": "640x480", "framerate": "30"}
 """What nearly every camera can do; who cannot is asked without."""
 MAX_PIXELS: Final = 4096 * 2304
+"""A larger picture is not decoded."""
+USUAL_STEP_S, LONGEST_STEP_S = 1 / 30, 10.0
+"""From a film's picture to its next, where the film does not say; and where its clock jumps, as in
+streams that were joined, at most."""
 
 
 def device_of(text: str) -> tuple[str, str | None]:
@@ -127,7 +131,8 @@ def open_camera(text: str) -> Any:
     name, kind = device_of(text)
     if kind == "v4l2" and not Path(name).exists():
         raise SourceError(f"webcam: there is neither a camera nor a file {name}")
-    tries: list[dict[str, str]] = [{}] if kind is None else [DEVICE_OPTIONS, {}]
+    limit = {"max_pixels": str(MAX_PIXELS)}
+    tries: list[dict[str, str]] = [limit] if kind is None else [DEVICE_OPTIONS, {}]
     for options in tries:
         try:
             container = av.open(name, format=kind, options=options)
@@ -135,6 +140,8 @@ def open_camera(text: str) -> Any:
             reason = error
             continue
         if container.streams.video:
+            if (codec := container.streams.video[0].codec_context) is not None:
+                codec.options = limit
             return container
         container.close()
         raise SourceError(f"webcam: {name} has no pictures")
@@ -158,28 +165,22 @@ def pictures(
     """
     import av
 
-    began_s, offset_s, last_s = time.monotonic(), 0.0, 0.0
-    first_s: float | None = None  # films cut from longer ones, and streams, begin anywhere
+    began_s, shown_s = time.monotonic(), -USUAL_STEP_S
     while True:
-        is_empty = True
+        is_empty, before_s = True, None  # films cut from longer ones, and streams, begin anywhere
         with suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
             for frame in container.decode(video=0):
-                if frame.width * frame.height > MAX_PIXELS:
-                    return
                 taken_s, is_empty = frame.time, False
                 if is_video:
-                    first_s = taken_s if first_s is None else first_s
-                    known = taken_s is not None and first_s is not None
-                    last_s = offset_s + (taken_s - first_s if known else last_s + 1 / 30)
-                    if wait(max(began_s + last_s - time.monotonic(), 0.0)):
-                        return
-                    taken_s = last_s
-                elif wait(0.0):
+                    known = taken_s is not None and before_s is not None
+                    step_s = taken_s - before_s if known else USUAL_STEP_S
+                    shown_s += step_s if 0 <= step_s <= LONGEST_STEP_S else USUAL_STEP_S
+                    before_s, taken_s = taken_s, shown_s
+                if wait(max(began_s + shown_s - time.monotonic(), 0.0) if is_video else 0.0):
                     return
                 yield _upright(frame, container.name), taken_s
         if not is_video or is_empty:
             return
-        offset_s = last_s + 1 / 30
         with suppress(av.FFmpegError):  # a stream that cannot be rewound gives nothing more
             container.seek(0)
 
@@ -302,7 +303,7 @@ class Webcam(Tracker):
 
     def _read(self) -> None:
         while not self._closing.is_set():
-            reason = "gives no more pictures"
+            reason = f"gives no more pictures (of {MAX_PIXELS:,} pixels at most)"
             try:
                 self._show()
             except Exception as error:  # whatever a camera or a network throws, the call goes on

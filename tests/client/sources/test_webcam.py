@@ -172,6 +172,24 @@ def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
     assert waits[0] < 0.5
 
 
+def test_a_film_whose_clock_jumps_goes_on() -> None:
+    pytest.importorskip("av")
+    times_s = (5.0, 5.1, 9000.0, 9000.1, 3.0, 3.1)
+    film = [decoded(Image.new("RGB", (8, 8)), time_s) for time_s in times_s]
+    container = SimpleNamespace(name="", decode=lambda video: iter(film))
+    shown = itertools.islice(pictures(container, True, lambda seconds: seconds > 1), 6)
+    usual_s = 1 / 30
+    steps_s = np.diff([time_s or 0.0 for _, time_s in shown])
+    assert steps_s == pytest.approx([0.1, usual_s, 0.1, usual_s, 0.1])
+
+
+def test_a_picture_too_large_is_not_decoded(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    Image.new("L", (4096, 2305)).save(path := tmp_path / "large.png")
+    with closing(open_camera(str(path))) as container, pytest.raises(av.FFmpegError):
+        next(container.decode(video=0))
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_a_photo_is_shown_as_its_camera_was_held_again_and_again(
     tmp_path: Path, orientation: int
