@@ -225,7 +225,7 @@ def read_wav(path: Path) -> FloatArray:
                 count += frame.samples
                 if count > MAX_SECONDS * rate_hz:
                     raise SourceError(f"{path}: at most {MAX_SECONDS} s of sound are played")
-    except (av.FFmpegError, OSError, IndexError) as error:
+    except (av.FFmpegError, OSError, IndexError, AttributeError) as error:
         raise SourceError(f"{path}: no WAV file of PCM sound: {error}") from error
     if not parts:
         raise SourceError(f"{path}: no WAV file of PCM sound: it holds none")

@@ -37,7 +37,10 @@ def test_any_rate_and_number_of_channels_become_48_khz_of_one(
 
 def test_what_is_no_wav_file_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.wav"
-    for data in (b"", b"RIFF", b"\0" * 100, b"ID3 an MP3" * 20, b"RIFF\xff\xff\xff\xffWAVEfmt "):
+    whole = wav(path).read_bytes()
+    unknown = whole[:20] + b"\x99\x99" + whole[22:]  # the tag of no codec
+    cut = b"RIFF\xff\xff\xff\xffWAVEfmt "
+    for data in (b"", b"RIFF", b"\0" * 100, b"ID3 an MP3" * 20, cut, unknown):
         path.write_bytes(data)
         with pytest.raises(SourceError, match=r"a\.wav: no WAV file of PCM sound"):
             open_voice(str(path))
