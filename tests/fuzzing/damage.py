@@ -72,7 +72,7 @@ def damaged_bytes(draw: st.DrawFn, good: Sequence[bytes]) -> bytes:
         piece = draw(PIECES | st.just(other[at : at + 64]))
         after = draw(st.sampled_from((at + len(piece), at, at + 31, len(data))))
         data = data[:at] + piece + data[after:]
-    return data[:MAX_BYTES]
+    return data[: max(MAX_BYTES, *map(len, good))]
 
 
 @st.composite
@@ -94,9 +94,26 @@ def damaged_glb(draw: st.DrawFn, document: Any, binary: bytes) -> bytes:
     """Draw a .glb file with up to three places of its document changed."""
     for _ in range(draw(st.integers(1, 3))):
         document = _changed(draw, document)
-    # Bytes and whatever else JSON cannot hold become texts.
-    text = json.dumps(document, default=repr, skipkeys=True)
-    return glb_bytes(json.loads(text), binary)
+    return glb_bytes(json.loads(_json(document)), binary)
+
+
+@st.composite
+def damaged_avatar(draw: st.DrawFn, good: bytes) -> bytes:
+    """Draw an avatar file with up to three places of its header or its manifest changed."""
+    end = 8 + int.from_bytes(good[:8], "little")
+    header = json.loads(good[8:end])
+    header["__metadata__"] = {k: json.loads(v) for k, v in header["__metadata__"].items()}
+    for _ in range(draw(st.integers(1, 3))):
+        header = _changed(draw, header)
+    if isinstance(header, dict) and isinstance(told := header.get("__metadata__"), dict):
+        header["__metadata__"] = {k: _json(v) for k, v in told.items()}
+    text = _json(header).encode()
+    return len(text).to_bytes(8, "little") + text + good[end:]
+
+
+def _json(value: Any) -> str:
+    """JSON of a tree; bytes and whatever else it cannot hold become texts."""
+    return json.dumps(value, default=repr, skipkeys=True)
 
 
 def _changed(draw: st.DrawFn, value: Any) -> Any:

@@ -7,17 +7,28 @@ seal, a key message) is read as far as the code.
 
 from __future__ import annotations
 
+import io
 import json
+import struct
 import tempfile
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import wave
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from hypothesis import strategies as st
 
-from fuzzing.damage import MEDIA, damaged_bytes, damaged_control, damaged_glb
+from fuzzing.damage import (
+    MEDIA,
+    damaged_avatar,
+    damaged_bytes,
+    damaged_control,
+    damaged_glb,
+)
 from golden.wire_samples import GOLDEN
 from helpers import tracker_packets
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig
@@ -26,15 +37,19 @@ from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.frames import decode_header, derive_key, open_, seal
 from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
-from pica_client.errors import SealError
+from pica_client.errors import SealError, SourceError
 from pica_client.sources.datagrams import REQUESTS, decoder_of
 from pica_client.sources.live_face import PacketError
+from pica_client.sources.registry import load_livelink_csv
+from pica_client.sources.webcam import open_camera, pictures
+from pica_client.voice.source import read_wav
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
 from pica_core.errors import AvatarFileError, CaptureError, LatentError
+from pica_core.livelink import livelink_csv
 from pica_core.types import MAX_LATENT_LENGTH
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
@@ -128,15 +143,47 @@ def datagram(data: bytes) -> None:
 
 def rig(data: bytes) -> None:
     """Read the rig of a stranger, and make it a head where it is one."""
-    with tempfile.TemporaryDirectory() as folder, suppress(CaptureError):
-        path = Path(folder, "rig.glb")
-        path.write_bytes(data)
+    with _file(data) as path, suppress(CaptureError):
         build_mesh(source := read_rig(path), map_names(list(source.shapes)))
+
+
+def take(data: bytes) -> None:
+    """Play a recording of a face; what it has is finite."""
+    with _file(data) as path, suppress(SourceError):
+        recording = load_livelink_csv(path)
+        for time_s in (-1.0, 0.0, 0.01, recording.duration_s):
+            face = recording.frame_at(time_s)
+            expect(bool(np.isfinite([*face.arkit, *face.rotation]).all()), "an endless face")
+
+
+def film(data: bytes) -> None:
+    """Show the first pictures of a film as a camera's; they come in order."""
+    with _file(data) as path, suppress(SourceError), closing(open_camera(str(path))) as container:
+        times_s = [at for _, at in islice(pictures(container, True, lambda wait_s: False), 40)]
+        expect(times_s == sorted(times_s), "pictures out of order")
+
+
+def sound(data: bytes) -> None:
+    """Read a sound."""
+    with _file(data) as path, suppress(SourceError):
+        expect(bool((np.abs(read_wav(path)) < 2).all()), "a sound beyond its range")
+
+
+@contextmanager
+def _file(data: bytes) -> Iterator[Path]:
+    """A file that holds some bytes."""
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(data)
+        file.flush()
+        yield Path(file.name)
 
 
 TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
     each.__name__: each
-    for each in (message, media, sealed, key_message, avatar_file, bitstream, datagram, rig)
+    for each in (
+        *(message, media, sealed, key_message, avatar_file, bitstream, datagram),
+        *(rig, take, film, sound),
+    )
 }
 
 
@@ -148,7 +195,9 @@ def damaged(name: str, good: list[bytes]) -> st.SearchStrategy[bytes]:
         case "media":
             return MEDIA | damaged_bytes(good)
         case "rig":
-            return damaged_glb(*RIG)
+            return damaged_glb(*RIG) | damaged_bytes(good)
+        case "avatar_file":
+            return damaged_avatar(good[0]) | damaged_bytes(good)
     return damaged_bytes(good)
 
 
@@ -156,7 +205,7 @@ def seeds() -> dict[str, list[bytes]]:
     """Return good inputs of each target, made by the code as it is now.
 
     They are the golden bytes of the wire, a sealed frame, a key message, a stream, an avatar,
-    datagrams of trackers.
+    datagrams and takes of trackers; films and sounds where PyAV is installed.
     """
     values = dict.fromkeys(tracker_packets.LIVE_LINK_ORDER[:52], 0.5)
     told = KeyMessage(False, bytes(32), bytes(8), bytes(8), 0, 1, 0, bytes(32))
@@ -180,4 +229,38 @@ def seeds() -> dict[str, list[bytes]]:
             tracker_packets.vmc(values, seconds=1.0, bones={"Head": (0.0, 0.0, 0.0, 1.0)}),
             tracker_packets.ifacialmocap({"jawOpen": 3}),
         ],
+        "take": [
+            livelink_csv([(0.0, [0.5] * 55), (0.02, None), (0.04, [0.0] * 55)]).encode(mode)
+            for mode in ("utf-8", "utf-8-sig")
+        ],
+        "film": _films("mp4", "matroska", "mpegts", "avi"),
+        "sound": [_wav(header_bytes) for header_bytes in (None, 0, 2**32 - 1)],
     }
+
+
+def _films(*forms: str) -> list[bytes]:
+    """The same small film in several containers."""
+    if find_spec("av") is None:
+        return []
+    import av
+
+    films = []
+    for form in forms:
+        with av.open(file := io.BytesIO(), "w", format=form) as container:
+            stream = container.add_stream("mpeg4", rate=10)
+            stream.width, stream.height = 32, 48
+            for grey in range(0, 250, 50):
+                picture = np.full((48, 32, 3), grey, np.uint8)
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture)))
+            container.mux(stream.encode())
+        films.append(file.getvalue())
+    return films
+
+
+def _wav(length: int | None) -> bytes:
+    """A short sound whose header names a length of its data, or the right one."""
+    with wave.open(file := io.BytesIO(), "wb") as out:
+        out.setparams((1, 2, 48_000, 0, "NONE", ""))
+        out.writeframes(bytes(range(200)) * 4)
+    data = file.getvalue()
+    return data if length is None else data[:40] + struct.pack("<I", length) + data[44:]
