@@ -34,17 +34,20 @@ class OpenLink:
         return True
 
 
-def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int]]:
-    """When each packet was captured, in frames, and how many it holds."""
+def heard(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, FloatArray]]:
+    """When each packet was captured, in frames, and its sound."""
     link, publisher = OpenLink(), VoicePublisher(SoundSource(LOUD))
     decoder = opus.OpusDecoder()
     for index in frames:
         publisher.is_muted = index >= muted_from
         publisher.send(link, LOUD, index * FRAME_US)  # type: ignore[arg-type]
-    return [
-        (captured_us // FRAME_US, len(decoder.decode(payload)) // FRAME_SAMPLES)
-        for payload, captured_us in link.packets
-    ]
+    return [(at_us // FRAME_US, decoder.decode(payload)) for payload, at_us in link.packets]
+
+
+def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int]]:
+    """When each packet was captured, and how many frames it holds."""
+    packets = heard(frames, muted_from=muted_from)
+    return [(at, len(sound) // FRAME_SAMPLES) for at, sound in packets]
 
 
 def test_two_frames_share_a_packet() -> None:
@@ -60,3 +63,9 @@ def test_a_mute_sends_the_frame_that_waits_for_another(
     muted_from: int, last: tuple[int, int]
 ) -> None:
     assert sent(list(range(9)), muted_from=muted_from)[-1] == last
+
+
+def test_nothing_of_what_is_said_after_a_mute_is_sent() -> None:
+    _, (_, spoken), (_, muted) = heard(list(range(9)), muted_from=4)
+    late = -FRAME_SAMPLES // 2  # before that the codec fades what came before
+    assert np.std(muted[late:]) < 0.4 * np.std(spoken[late:])

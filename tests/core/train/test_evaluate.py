@@ -18,7 +18,7 @@ from pica_core.train.cli.eval import EvalOptions, error_table, eval_runs
 from pica_core.train.cli.train import ClaimOptions, TrainOptions, bench_claim, views_below
 from pica_core.train.config import PRESETS
 from pica_core.train.data import TrainingData
-from pica_core.train.evaluate import ssim
+from pica_core.train.evaluate import mse, ssim
 from pica_core.train.train import open_trainer, read_checkpoint
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -36,6 +36,11 @@ def runs(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> dict[s
         with open_trainer(data, config, folder) as trainer:
             trainer.save()
     return folders
+
+
+def test_the_error_is_the_mean_square_over_pixels_and_channels() -> None:
+    picture = np.array([[1, 2, 3], [0, 0, 4]], np.uint8)
+    assert mse(picture, np.zeros((2, 3), np.uint8)) == 5.0
 
 
 def test_ssim_of_covered_pixels_agrees_with_another_implementation() -> None:
