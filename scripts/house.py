@@ -92,9 +92,17 @@ def module_of(path: str) -> str:
     return ".".join(path.removesuffix(".py").removesuffix("/__init__").split("/")[1:])
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield what a module does, in blocks of any depth: expressions hold no imports."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.stmt, ast.excepthandler, ast.match_case)):
+            yield child
+            yield from statements(child)
+
+
 def imports_of(tree: ast.Module, modules: Iterable[str]) -> Iterator[str]:
     """Yield those of some modules that a module imports anywhere in its text."""
-    for node in ast.walk(tree):
+    for node in statements(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in modules)
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -49,8 +49,9 @@ def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> No
     limits = LimitsConfig(joins_burst=10_000)
     config = RelayConfig(room_capacity=64, limits=limits)
     hub, (ada, bob) = hub_with("Ada", "Bob", config=config)
-    for i in range(2500):  # people come and go; Bob does not read
-        guest = Member(hub, f"Guest {i}", now=1.0)
+    long = tuple((f"{i}", "x" * 64) for i in range(8))
+    for i in range(500):  # people come and go; Bob does not read
+        guest = Member(hub, f"Guest {i}", now=1.0, metadata=long)
         hub.disconnect(guest.connection, 1006, "", now=1.0)
         ada.listen(now=1.0)
         assert bob.connection.outbox.waiting_control_bytes <= MAX_CONTROL_BYTES + 200
