@@ -63,15 +63,8 @@ def link(relay: Relay, host: str, name: str) -> LinkConfig:
 async def hold_call(
     networks: dict[str, Impairment], *, down: Impairment | None = None
 ) -> tuple[Watched, list[dict[str, Any]], dict[str, Any]]:
-    """Five senders, a relay and a receiver, measured for `SECONDS` after four of warming up.
-
-    Args:
-        networks: What each sender's way to the relay is like.
-        down: What the receiver's way from the relay is like.
-
-    Returns:
-        What the receiver saw, what the senders say, what the relay says.
-    """
+    """Five senders, a relay and a receiver, measured for `SECONDS` after four of warming up: what
+    the receiver saw, what the senders say, what the relay says."""
     loop, network, watched = asyncio.get_running_loop(), current_network(), Watched()
     async with Relay(RelayConfig(port=0)) as relay:
         for name in PEERS:

@@ -121,24 +121,15 @@ def test_the_clients_of_the_compose_file_have_options_that_exist(name: str) -> N
     assert set(options.join.url.split(",")) == {f"ws://{relay}:8765" for relay in RELAYS}
 
 
-def pod_of(workload: dict[str, Any]) -> dict[str, Any]:
-    pod: dict[str, Any] = workload["spec"]["template"]["spec"]
-    return pod
-
-
-def relay_file(tmp_path: Path) -> Path:
-    path = tmp_path / "relay.toml"
-    path.write_text(MANIFESTS["ConfigMap", "relay"]["data"]["relay.toml"])
-    return path
-
-
 def test_the_relay_of_the_manifests_can_start_and_has_time_to_drain(tmp_path: Path) -> None:
-    pod = pod_of(MANIFESTS["StatefulSet", "relay"])
+    pod = MANIFESTS["StatefulSet", "relay"]["spec"]["template"]["spec"]
+    settings = tmp_path / "relay.toml"
+    settings.write_text(MANIFESTS["ConfigMap", "relay"]["data"]["relay.toml"])
     (container,) = pod["containers"]
     assert container["args"] == ["relay", "--config", "/etc/pica/relay.toml"]
     environment = {each["name"]: each.get("value", "") for each in container["env"]}
     assert environment["PICA_RELAY_PUBLIC_URL"] == "wss://$(POD_NAME).example.org"
-    words = ["--config", str(relay_file(tmp_path)), "--public-url", "wss://relay-0.example.org"]
+    words = ["--config", str(settings), "--public-url", "wss://relay-0.example.org"]
     config = relay_options(words, image_environment())
     assert config.keys is not None
     assert config.metrics_to == ("10.0.0.0/8",)

@@ -54,14 +54,7 @@ def test_what_is_no_network_is_refused(name: str) -> None:
 async def http_status(
     host: str, header: str = "", *, path: str = "/metrics", asked: str = "127.0.0.1:8765"
 ) -> int:
-    """Ask for a page from an address, and return the status of the answer.
-
-    Args:
-        host: Who asks.
-        header: One more line of the request.
-        path: What for.
-        asked: Of which host.
-    """
+    """Ask a host for a page from an address; return the status of the answer."""
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[bytes] = loop.create_future()
 

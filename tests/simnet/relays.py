@@ -29,11 +29,7 @@ needs_nats = pytest.mark.skipif(PROGRAM is None, reason=f"nats-server is not her
 
 
 class NatsServer:
-    """One server; what it stores outlives a restart.
-
-    Attributes:
-        url: Where it listens.
-    """
+    """One server; what it stores outlives a restart."""
 
     def __init__(self, folder: Path, *, jetstream: bool = True) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -77,12 +73,7 @@ PATIENCE_S = 60.0
 
 
 class RelayProcess:
-    """One relay process.
-
-    Attributes:
-        url: Where it listens.
-        process: The process.
-    """
+    """One relay process, and where it listens."""
 
     def __init__(self, process: subprocess.Popen[str], url: str) -> None:
         self.process = process
@@ -136,13 +127,8 @@ def running_relays(count: int, nats_url: str, *words: str) -> Iterator[list[Rela
 
 
 class Person:
-    """Somebody in a call, with a face track that says nothing.
-
-    Attributes:
-        link: The real link.
-        others: Names of those who are in the room with them, by peer id.
-        has_joined: Whether they were let in at least once.
-    """
+    """Somebody in a call, with a face track that says nothing; `others` are the names of those in
+    the room with them, by peer id."""
 
     def __init__(self, name: str, url: str, *, room: str) -> None:
         self.name = name
@@ -180,11 +166,7 @@ async def person(name: str, relay: RelayProcess, room: str = "lobby") -> AsyncIt
 
 
 async def until(is_so: Callable[[], bool]) -> float:
-    """Wait until something is so; return how long that took.
-
-    Raises:
-        AssertionError: It is still not so.
-    """
+    """Wait until something is so; return how long that took."""
     start = time.monotonic()
     while not is_so():
         assert time.monotonic() - start < PATIENCE_S, "it does not come to that"

@@ -6,9 +6,11 @@ from helpers.members import Member, hub_with
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
+from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import Bye, Join, Joined, PeerJoined, PeerLeft, Whisper
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.limits import RefusalError
+from pica_server.room.connections import CALM_S, LATE_S, Overload
 from pica_server.room.hub import Hub
 from pica_server.room.membership import OWN_JOINS_BURST
 from pica_server.room.outbox import MAX_CONTROL_BYTES
@@ -237,3 +239,39 @@ def test_close_codes_that_peers_make_up_are_counted_together() -> None:
     for member, code in zip(members, (3001, 4444, 1000), strict=True):
         hub.receive(member.connection, [encode_message(Bye(code=code))], now=1.0)
     assert hub.stats.closed == {0: 2, 1000: 1}
+
+
+# More to do than it can
+
+
+def test_one_late_turn_sheds_and_two_in_a_row_refuse_newcomers_for_a_while() -> None:
+    overload = Overload()
+    overload.note_turn(LATE_S, now=1.0)
+    assert overload.sheds
+    assert not overload.refuses(1.0)
+    overload.note_turn(LATE_S, now=1.1)
+    assert overload.refuses(1.1)
+    overload.note_turn(0.0, now=1.2)
+    assert not overload.sheds
+    assert not overload.refuses(1.1 + CALM_S)
+
+
+def test_of_faces_that_came_together_a_late_relay_passes_on_the_newest_of_each_stream() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+
+    def face(sequence: int) -> bytes:
+        frame = Frame(stream=ada.stream, sequence=sequence, captured_us=0, payload=b"face")
+        return media_message([encode_frame(frame)])
+
+    hub.overload.note_turn(LATE_S, now=1.0)
+    hub.receive(ada.connection, [face(0), face(1), face(2)], 1.0)
+    assert [frame.sequence for frame in bob.listen(1.0) if isinstance(frame, Frame)] == [2]
+    assert hub.stats.dropped == {"late": 2}
+
+
+def test_a_relay_that_others_keep_from_the_processor_lets_newcomers_in() -> None:
+    overload = Overload()
+    for number in range(4):
+        overload.note_turn(LATE_S, now=1.0 + number, worked=0.2)
+    assert overload.sheds
+    assert not overload.refuses(4.0)

@@ -1,6 +1,8 @@
-"""On a full disk nothing half-written is left, and what was there before is whole."""
+"""Files of a user: whole on a full disk, for their eyes alone; and what is said in a terminal."""
 
+import os
 import resource
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pica_client.avatars.fetch import AvatarCache
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import OptionError, SealError
+from pica_client.system import FOLDERS, say
 from pica_client.ui.recorder import save_png
+from pica_client.ui.state import PreferencesFile, ViewState
 from pica_server.cli.token import TokenOptions, token
 from pica_server.config import ConfigurationError
 from pica_server.tokens import load_keys
@@ -64,3 +69,30 @@ def test_half_a_key_does_not_spoil_the_key_file(tmp_path: Path) -> None:
         token(options)
     assert path.read_bytes() == first
     load_keys(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files have no such modes")
+def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    cache, preferences = FOLDERS.user_cache_path / "avatars", FOLDERS.user_config_path
+    for folder in (cache, preferences):
+        folder.mkdir(parents=True)
+        folder.chmod(0o755)
+    AvatarCache().keep("5" * 64, b"an avatar")
+    PreferencesFile().save(ViewState(name="Ada"))
+    for path, mode in (
+        (cache, 0o700),
+        (preferences, 0o700),
+        (preferences / "preferences.json", 0o600),
+    ):
+        assert stat.S_IMODE(path.stat().st_mode) == mode
+
+
+def test_what_strangers_call_themselves_steers_no_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    say("several faces: \x1b[2J\x1b]0;evil\x07é, Ünal\nnext \x9b31m")
+    assert capsys.readouterr().err == "several faces:  [2J ]0;evil é, Ünal\nnext  31m\n"
