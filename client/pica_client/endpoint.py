@@ -7,7 +7,7 @@ the connection, is counted, and the link comes back; what breaks a payload is co
 import asyncio
 import contextlib
 import threading
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any, Final, Self
 
@@ -102,14 +102,11 @@ class Endpoint:
         if isinstance(event, Joined) and self.own.giver is not None:
             self.own.giver.begin(self.link.url)
         if isinstance(event, PeerJoined | Joined):
-            self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
-
-    def _decline(self, peers: Sequence[Peer]) -> None:
-        """Tell the relay to send nothing of newcomers that is not used here."""
-        for peer in peers:
-            for track in peer.tracks:
-                if not self._wants(track, peer):
-                    self.link.tell(Subscribe(stream=track.stream, every=0))
+            # The relay is to send nothing of newcomers that is not used here.
+            for peer in [event.peer] if isinstance(event, PeerJoined) else event.peers:
+                for track in peer.tracks:
+                    if not self._wants(track, peer):
+                        self.link.tell(Subscribe(stream=track.stream, every=0))
 
     def _wants(self, track: Track, peer: Peer) -> bool:
         """Return True if a track of a newcomer is used here: the first face, voices that are heard;

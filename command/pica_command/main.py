@@ -142,11 +142,7 @@ def _describe(error: BaseException, extras: Sequence[str]) -> tuple[str, str, in
 
 
 def _explain(words: list[str]) -> int:
-    """List the commands; words that begin none are bad usage.
-
-    Raises:
-        UsageError: Says what was probably meant, or what to use instead.
-    """
+    """List the commands; words that begin none are bad usage, as `refuse` says."""
     if words[:1] == ["--version"]:
         from importlib.metadata import version
 

@@ -16,11 +16,10 @@ from typing import Any, Final
 import httpx
 import numpy as np
 from PIL import Image
-from platformdirs import PlatformDirs
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.errors import FaceNetworksError
-from pica_core.files import replacing
+from pica_core.files import FOLDERS, replacing
 from pica_core.types import Float64Array, FloatArray
 
 NUM_LANDMARKS: Final = 478
@@ -231,8 +230,7 @@ _MEMBERS: Final = (
 
 def model_path() -> Path:
     """Where the file lies on this machine, or would."""
-    folders = PlatformDirs("pica-telepresence", appauthor=False, roaming=True)
-    return folders.user_data_path / "models" / "face_landmarker.task"
+    return FOLDERS.user_data_path / "models" / "face_landmarker.task"
 
 
 def install(source: str = URL) -> Path:

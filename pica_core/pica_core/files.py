@@ -1,10 +1,15 @@
-"""Files that are written whole or not at all."""
+"""A user's folders, and files that are written whole or not at all."""
 
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from platformdirs import PlatformDirs
+
+FOLDERS = PlatformDirs("pica-telepresence", appauthor=False, roaming=True)
+"""This user's folders for what is fetched, set, made and recorded."""
 
 
 @contextmanager

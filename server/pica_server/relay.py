@@ -348,11 +348,8 @@ def _select_subprotocol(
 
 
 def _tls_context(config: RelayConfig) -> ssl.SSLContext | None:
-    """Read the certificate and its key; None without TLS.
-
-    Raises:
-        ConfigurationError: One of them cannot be used; one line with the flag and the fix.
-    """
+    """Read the certificate and its key, None without TLS; ConfigurationError with the flag and the
+    fix if one of them cannot be used."""
     cert, key = config.tls_cert, config.tls_key
     if cert is None or key is None:
         return None

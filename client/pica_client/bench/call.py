@@ -71,11 +71,8 @@ class _Frame(NamedTuple):
 
 
 class _Decoding:
-    """Decodes every frame that arrives once it is due, and remembers when.
-
-    Args:
-        worn: Identities of avatars by the names of their wearers.
-    """
+    """Decodes every frame that arrives once it is due, and remembers when; `worn` are identities of
+    avatars by the names of their wearers."""
 
     def __init__(self, library: AvatarLibrary, worn: Mapping[str, str]) -> None:
         self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS)

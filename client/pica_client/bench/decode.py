@@ -93,10 +93,12 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
 
         samples = take_turns(list(works), turn, rounds=config.rounds, warm_up=WARM_UP_ROUNDS)
         took = dict(zip(works, samples, strict=True))
+        baseline_s = took[Case("decode", "baseline", None)]
+        whole = [case for case in took if case.parts == "both"]
         return report(
             config,
             [bench.row(case, took) for case in took],
-            baseline_ratio=_decode_ratios(took),
+            baseline_ratio={str(case.level): ratio(baseline_s, took[case]) for case in whole},
             avatar=avatar.manifest.name,
             block=avatar.spec.block,
             gl_renderer=bench.renderer.gl_renderer,
@@ -178,9 +180,3 @@ def _placed(slot: str) -> Placement:
 def _decode(decoder: OnnxDecoder | BaselineDecoder, *arguments: Any) -> object:
     *chosen, latent = arguments
     return decoder.decode(latent, AHEAD, *chosen)
-
-
-def _decode_ratios(took: dict[Case, list[float]]) -> dict[str, float]:
-    """The baseline over each level, decoded whole."""
-    baseline = took[Case("decode", "baseline", None)]
-    return {str(case.level): ratio(baseline, took[case]) for case in took if case.parts == "both"}

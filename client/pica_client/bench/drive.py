@@ -62,12 +62,7 @@ class DriveBenchConfig:
 
 
 class _Truth(NamedTuple):
-    """The head itself at one moment.
-
-    Attributes:
-        images: From each view, uint8 ``[views, H, W, 3]``.
-        vertices_m: float32 ``[V, 3]``.
-    """
+    """The head itself at one moment: images ``[views, H, W, 3]`` and vertices ``[V, 3]``."""
 
     images: Image
     vertices_m: FloatArray
@@ -126,11 +121,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
 
 
 def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
-    """Who can draw the truth.
-
-    Raises:
-        OptionError: None is named, or it has another mesh than the avatar.
-    """
+    """Who can draw the truth; OptionError if none is named, or it has another mesh."""
     identity = avatar.manifest.identity
     subject: Subject
     if config.rig is not None:

@@ -174,9 +174,9 @@ class Link:
     @property
     def muted(self) -> tuple[str, ...]:
         """The kinds of our tracks that an admin has stopped."""
-        session = self._session  # another thread may ask
-        tracks = () if session is None else session.tracks
-        return tuple(t.kind for t in tracks if session is not None and t.stream in session.muted)
+        if (session := self._session) is None:  # another thread may ask
+            return ()
+        return tuple(track.kind for track in session.tracks if track.stream in session.muted)
 
     @property
     def reconnects(self) -> int:
@@ -275,10 +275,7 @@ class Link:
 
     async def _visit(self, url: str) -> str:
         """Connect to a relay once, and stay as long as that lasts; then wait until the next try.
-
-        Returns:
-            The relay to try next: this one, that to which it sends us, or the configured one.
-        """
+        Return the relay to try: this one, that to which it sends us, or the configured one."""
         loop = asyncio.get_running_loop()
         target, longest_s, self._joined_s = "", LONGEST_REFUSED_S, None
         try:
@@ -309,12 +306,8 @@ class Link:
             raise type(error)(f"{error}; tried to come back for {RETURN_S:g} s") from error
 
     async def _talk(self, url: str, websocket: RelayWebsocket) -> Closed:
-        """One connection from its first message to its last; return how it ended.
-
-        Raises:
-            RelayRefusedError: The relay will not have us.
-            OptionError: The token file cannot be read.
-        """
+        """One connection from its first message to its last; return how it ended, or raise as
+        `run`."""
         loop = asyncio.get_running_loop()
         try:
             token = self.config.read_token()

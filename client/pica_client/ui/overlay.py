@@ -222,12 +222,8 @@ def _sign(name: str, line: Line, place: Place, pivot: Place, width: float) -> fl
 
 def _own_bottom() -> float:
     """Return the lower end of what is shown of the user, units."""
-    above = 0.0 if _is_wide() else bar_share() * screen()[1]
-    return screen()[1] - px(EDGE_PT) - above
-
-
-def _is_wide() -> bool:
-    return screen()[0] >= px(BESIDE_BAR_PT)
+    columns, rows = screen()
+    return rows - px(EDGE_PT) - (0.0 if columns >= px(BESIDE_BAR_PT) else bar_share() * rows)
 
 
 def own_face_height(state: ViewState) -> int:

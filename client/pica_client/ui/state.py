@@ -160,10 +160,7 @@ def _without_secrets(url: str) -> str:
 
 
 def _known(kind: type, content: dict[str, Any]) -> dict[str, Any]:
-    """The values of a dataclass, each as the type of its default; what else is there is left out.
-
-    Raises:
-        ValueError, TypeError: One cannot be converted.
-    """
+    """The values of a dataclass, each as the type of its default, or ValueError or TypeError; what
+    else is there is left out."""
     usual = asdict(kind())
     return {name: type(usual[name])(content[name]) for name in usual if name in content}

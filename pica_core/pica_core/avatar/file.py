@@ -39,20 +39,21 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import (
+    EXIT_SIZES,
     STATIC_NAME,
+    STILL_NAME,
     decoded_faces,
     faces_name,
     is_faces,
     is_index,
     level_shapes,
-    levels_of,
     parts_of,
     sheet_rows,
     static_shape,
     textured_faces,
 )
+from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.linear import check_linear, latent_movements, linear_shapes, stretches
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec, spec_tensor_shapes
@@ -89,7 +90,7 @@ class Avatar:
     """Map sizes that it can be decoded to, ascending; ends with `MAP_SIZE`."""
 
     def __post_init__(self) -> None:
-        levels = levels_of(self.tensors)
+        levels = (*EXIT_SIZES, MAP_SIZE) if STILL_NAME in self.tensors else (MAP_SIZE,)
         object.__setattr__(self, "levels", levels)  # asked for many times a frame
 
     @property

@@ -43,7 +43,7 @@ Where both are drawn the texture gives way from its static corners to those of t
 level is covered, whatever the bits are.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -57,11 +57,6 @@ PREFIX = "level."
 LOCAL_TEXELS = 2
 """Side of a block of texels with weights of its own (measured: docs/architecture.md)."""
 STILL_NAME = PREFIX + "still"
-
-
-def levels_of(names: Container[str]) -> tuple[int, ...]:
-    """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
-    return (*EXIT_SIZES, MAP_SIZE) if STILL_NAME in names else (MAP_SIZE,)
 
 
 def is_faces(name: str) -> bool:

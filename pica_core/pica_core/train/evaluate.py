@@ -22,7 +22,7 @@ from pica_core.train.data import TrainingData, spaced, view_direction
 from pica_core.train.pixels import MeshDrawer
 from pica_core.train.raster import Rasteriser, Views
 from pica_core.train.train import Trainer
-from pica_core.types import Array, BoolArray, ByteArray, Float64Array, FloatArray, Int64Array
+from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array
 
 WHITE = 255.0
 SSIM_SIGMA_PX = 1.5
@@ -108,10 +108,6 @@ class Picture(NamedTuple):
         laid: FloatArray = image.astype(np.float32)
         laid.reshape(-1, 3)[self.pixels] = self.colours
         return laid
-
-    def within(self, image: ByteArray) -> FloatArray:
-        """What an image ``[H, W, 3]`` holds at these pixels, 0-255, float32 ``[P, 3]``."""
-        return image.reshape(-1, 3)[self.pixels].astype(np.float32)
 
     def covered(self, camera: Camera) -> BoolArray:
         """Which pixels of the image these are, ``[H, W]``."""
@@ -216,7 +212,7 @@ def measure_views(
                 continue
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera)
-            errors.mse.append(mse(picture.colours, picture.within(image)))
+            errors.mse.append(mse(picture.colours, image.reshape(-1, 3)[picture.pixels]))
             errors.ssim.append(ssim(picture.on(image), image, picture.covered(camera)))
     measured = {view: errors for view, errors in found.items() if errors.mse}
     if not measured:

@@ -32,8 +32,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pica_core.capture.dataset.files import Topology
-from pica_core.types import Float64Array, FloatArray, Int64Array
+from pica_core.types import Float64Array, Int64Array
 
 DEPTH_LIMIT_M = 0.010
 """Depth that is further off teaches nothing (paper 5): it is a hole, an outlier, or another
@@ -193,11 +192,6 @@ def cotangent_weights(
     unique, place = np.unique(np.concatenate(edges), axis=0, return_inverse=True)
     weights = np.bincount(place.reshape(-1), np.concatenate(halves), len(unique))
     return unique, np.maximum(weights, LEAST_WEIGHT)
-
-
-def smoothness_weights(topology: Topology) -> FloatArray:
-    """The diagonal of W_L. float32 ``[V]``."""
-    return topology.by_region(ROUGH_WEIGHTS, PLAIN_WEIGHT).astype(np.float32)
 
 
 class Laplacian(NamedTuple):

@@ -25,6 +25,8 @@ from pica_core.model.networks import hold_log_variance, reparameterise
 from pica_core.train.config import TrainConfig
 from pica_core.train.data import TrainingData, important_vertices, vertex_importance, view_direction
 from pica_core.train.losses import (
+    PLAIN_WEIGHT,
+    ROUGH_WEIGHTS,
     Laplacian,
     depth_loss,
     depth_mask,
@@ -37,7 +39,6 @@ from pica_core.train.losses import (
     mesh_laplacian,
     mesh_loss,
     normal_loss,
-    smoothness_weights,
 )
 from pica_core.train.pixels import DrawnPixels, MeshDrawer
 from pica_core.train.raster import Rasteriser, Views
@@ -127,7 +128,8 @@ class Objectives:
         self._laplacian: Laplacian | None = None
         if config.smooth:
             self._laplacian = mesh_laplacian(neutral_m, topology.faces, self.mean_m)
-            self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
+            rough = topology.by_region(ROUGH_WEIGHTS, PLAIN_WEIGHT).astype(np.float32)
+            self._rough = torch.from_numpy(rough).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
         self._poses: Poses | None = None
         self._on_device: dict[tuple[str, Any], Tensor] = {}

@@ -41,7 +41,8 @@ class ReplayedStep:
 
     def __call__(self, batch: Batch) -> Tensor:
         """Do a step and return its losses, without waiting for the GPU where a graph repeats it."""
-        if self._graph is not None and self._was_short():
+        # A list of the last step that had more entries than room is asked for more.
+        if self._graph and any([each.was_short(int(needed)) for each, needed in self._needed]):
             self._graph = None
         if self._graph is None and self._left == 0 and self._can_replay:
             self._capture(batch)
@@ -78,7 +79,3 @@ class ReplayedStep:
         finally:
             for capacity in self._capacities:
                 capacity.release()
-
-    def _was_short(self) -> bool:
-        """Whether a list of the last step had more entries than room, which is then asked for."""
-        return any([capacity.was_short(int(needed)) for capacity, needed in self._needed])

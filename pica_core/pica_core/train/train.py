@@ -176,18 +176,15 @@ class Trainer:
         self.step += 1
         self._next = None
         if self.step < self.total_steps and self.phase_of(self.step)[0] == phase:
-            self._expect(self.step + DECODED_AHEAD)
+            ahead = self.step + DECODED_AHEAD
+            if ahead < self.total_steps and self._kind_of(ahead) == "joint":
+                self.objectives.expect(Draw(self.config.seed, ahead))
             if self.device.type != "cpu":  # while the GPU is at work
                 self._next = self._prepared(self.step)
         return dict(zip(self._names[kind], values.tolist(), strict=False))
 
     def _prepared(self, step: int) -> Batch:
         return self.objectives.prepare(self._kind_of(step), Draw(self.config.seed, step))
-
-    def _expect(self, step: int) -> None:
-        """Have images decoded for a step to come."""
-        if step < self.total_steps and self._kind_of(step) == "joint":
-            self.objectives.expect(Draw(self.config.seed, step))
 
     def _steps_of(self, phase: str, kind: str) -> Callable[[Batch], Tensor]:
         """What does steps of a kind: repeated from a CUDA graph where there is a GPU."""

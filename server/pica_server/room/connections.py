@@ -280,16 +280,12 @@ class Connections:
         if stream is None:
             return
         if member.room.subscribe(member, number, every):
-            self._send_newest(member, stream)
+            self.send_newest(member, stream)
         elif every == 0:
             member.outbox.drop(stream.publisher, number)
 
-    def catch_up(self, member: Connection, room: Room) -> None:
-        """Give a receiver who comes, or comes back, the newest frame of every stream."""
-        for stream in room.streams.values():
-            self._send_newest(member, stream)
-
-    def _send_newest(self, member: Connection, stream: Stream) -> None:
+    def send_newest(self, member: Connection, stream: Stream) -> None:
+        """Give a receiver the newest frame of a stream."""
         if stream.newest is not None and stream.publisher != member.peer_id:
             member.outbox.put(stream.newest)
             self.ready.append(member)

@@ -317,7 +317,8 @@ class Membership:
         for number in room.muted_of(room.members.values()):
             self._connections.send(member, StreamMuted(stream=number, is_muted=True), now)
         if member.default_every:
-            self._connections.catch_up(member, room)
+            for stream in room.streams.values():
+                self._connections.send_newest(member, stream)
 
     def _replace(
         self, room: Room, connection: Connection, join: Join, identity: str, now: float

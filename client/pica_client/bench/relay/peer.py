@@ -69,10 +69,6 @@ class Tally:
         self.delays_us = array("q")
         self.codes: Counter[int] = Counter()
 
-    def count_sent(self, captured_us: int) -> None:
-        """Count a frame that was sent."""
-        self.sent += self.begin_us <= captured_us < self.end_us
-
     def count_received(self, captured_us: int) -> None:
         """Count a frame as of the last read."""
         if self.begin_us <= captured_us < self.end_us:
@@ -125,7 +121,7 @@ class SwarmPeer:
         if self._unsent:
             self._write(b"")
         if not self._unsent and self._write(data, may_drop=True):
-            self._tally.count_sent(now_us)
+            self._tally.sent += self._tally.begin_us <= now_us < self._tally.end_us
 
     def on_readable(self, now: float) -> None:
         """Read what has come."""

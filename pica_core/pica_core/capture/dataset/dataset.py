@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import logging
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -201,7 +202,8 @@ class Capture:
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
         self.has_expressions = frames[0].arkit is not None
-        self._listed: dict[Path, frozenset[str]] = {}
+        images = path / "images"
+        self._listed = cache(lambda *at: {each.stem for each in images.joinpath(*at).glob("*.png")})
         self.frames = self._usable(frames)
 
     def _usable(self, listed: tuple[CaptureFrame, ...]) -> tuple[CaptureFrame, ...]:
@@ -272,13 +274,7 @@ class Capture:
 
     def cameras_of(self, frame: CaptureFrame) -> tuple[str, ...]:
         """Cameras that have an image of a frame; a frame may be missing from some."""
-        return tuple(name for name in self._cameras if self._is_listed("images", frame, name))
-
-    def _is_listed(self, kind: str, frame: CaptureFrame, camera: str) -> bool:
-        folder = self.path / kind / frame.segment / camera
-        if folder not in self._listed:
-            self._listed[folder] = frozenset(path.stem for path in folder.glob("*.png"))
-        return frame.name in self._listed[folder]
+        return tuple(n for n in self._cameras if frame.name in self._listed(frame.segment, n))
 
     def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
         """sRGB image as stored, row 0 on top. uint8 ``[H, W, 3]``."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from platformdirs import PlatformDirs
 from rich.console import Console
 
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.cli import MeChoices, make_head, render_me
 from pica_core.errors import check_ranges
+from pica_core.files import FOLDERS
 from pica_core.train.cli.train import ExportOptions, TrainOptions, export, train
 from pica_core.train.export import EVALUATION_FILE
 from pica_core.train.train import CHECKPOINT
@@ -46,7 +46,7 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
     """Make an avatar of yourself from a scan of your head: fit, render, train, export."""
     console = Console(stderr=True, highlight=False)
     slug = re.sub(r"[^a-z0-9]+", "-", options.name.lower()).strip("-") or "me"
-    folder = options.out or _folders().user_data_path / "me" / slug
+    folder = options.out or FOLDERS.user_data_path / "me" / slug
     file = folder / f"{slug}.pica"
     seconds: dict[str, float] = {}
 
@@ -82,7 +82,3 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
             )  # fmt: skip
     console.print(f"Begin a call with it:\n\n    pica demo --avatar {file}\n", soft_wrap=True)
     return {"path": str(file), "folder": str(folder), "seconds": seconds}
-
-
-def _folders() -> PlatformDirs:
-    return PlatformDirs("pica-telepresence", appauthor=False, roaming=True)
