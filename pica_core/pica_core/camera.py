@@ -47,8 +47,7 @@ class Camera:
     @property
     def centre_m(self) -> Float64Array:
         """Camera centre in world coordinates, metres. float64 ``[3]``."""
-        centre: Float64Array = -self.rotation.T @ self.translation_m
-        return centre
+        return -self.rotation.T @ self.translation_m
 
     def project(self, points_m: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Project world points in metres, ``[..., 3]``.
@@ -70,8 +69,7 @@ class Camera:
         depth = np.asarray(depth_m, np.float64)[..., None]
         image = np.concatenate([np.asarray(pixels, np.float64), np.ones_like(depth)], -1)
         seen = image @ np.linalg.inv(self.intrinsics).T * depth
-        points: Float64Array = (seen - self.translation_m) @ self.rotation
-        return points
+        return (seen - self.translation_m) @ self.rotation
 
     def clip_from_world(self, near_m: float = 0.02, far_m: float = 20.0) -> FloatArray:
         """The matrix from world metres to GL clip space, for columns. float32 ``[4, 4]``.

@@ -103,8 +103,7 @@ class GraphBuilder:
         model = helper.make_model(
             graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
         )
-        serialised: bytes = model.SerializeToString()
-        return serialised
+        return model.SerializeToString()
 
 
 TURN_CONVOLUTION_SIZE = 64

@@ -112,8 +112,7 @@ _PARTS: Mapping[str, Callable[[Tensors, Array, Dtype], Array]] = {
 def _connect(tensors: Tensors, layer: str, values: Array, dtype: Dtype) -> Array:
     """A fully connected layer over values ``[..., in]``."""
     weight, bias = (np.asarray(tensors[f"{layer}.{part}"], dtype) for part in ("weight", "bias"))
-    found: Array = np.matmul(values, weight.T) + bias
-    return found
+    return np.matmul(values, weight.T) + bias
 
 
 def decode_pixels(
@@ -294,8 +293,7 @@ def still_colours(avatar: Avatar, xyz_m: npt.ArrayLike, uv: npt.ArrayLike) -> Ar
     if still is None:
         raise ValueError("the avatar has no tensor level.still")
     codes = sample_bilinear(still, uv)
-    rgb: Array = np.clip(decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv), 0, 1)
-    return rgb
+    return np.clip(decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv), 0, 1)
 
 
 VIEW_FEATURES = 8

@@ -173,8 +173,7 @@ def _speech(seconds: float) -> FloatArray:
     """The shipped sentences again and again, in a room that is not quite silent."""
     size = int(seconds / FRAME_S) * FRAME
     room = np.random.default_rng(0).standard_normal(size).astype(np.float32)
-    sound: FloatArray = np.resize(shipped_speech(), size) + ROOM_RMS * room
-    return sound
+    return np.resize(shipped_speech(), size) + ROOM_RMS * room
 
 
 def _packets(sound: FloatArray) -> list[tuple[float, Frame]]:

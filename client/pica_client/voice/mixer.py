@@ -133,5 +133,4 @@ def limit(sound: Array) -> Array:
     over = np.abs(sound) - LIMIT_FROM
     room = 1 - LIMIT_FROM
     bent = np.sign(sound) * (LIMIT_FROM + room * np.tanh(np.maximum(over, 0) / room))
-    limited: Array = np.where(over > 0, bent, sound)
-    return limited
+    return np.where(over > 0, bent, sound)

@@ -77,8 +77,7 @@ def outline_of(vertices_m: FloatArray, slack_m: float = 0.0) -> FloatArray:
     parts = np.array_split(sound_m, -(-len(sound_m) // LOOKED_AT_ONCE))
     reach_m = np.max([np.matmul(looked, part.T).max(axis=1) for part in parts], axis=0)
     missing_m = reach_m + slack_m - np.matmul(looked, outline_m.T).max(axis=1)
-    wider_m: FloatArray = outline_m + max(float(missing_m.max()), 0.0) * directions
-    return wider_m
+    return outline_m + max(float(missing_m.max()), 0.0) * directions
 
 
 @cache
@@ -94,5 +93,4 @@ def _directions(count: int) -> FloatArray:
 def box_corners(low_m: npt.ArrayLike, high_m: npt.ArrayLike) -> FloatArray:
     """The corners of a box between two opposite ones. ``[8, 3]``."""
     picks = (np.arange(8)[:, None] >> np.arange(3)) & 1
-    corners: FloatArray = np.where(picks == 1, high_m, low_m).astype(np.float32)
-    return corners
+    return np.where(picks == 1, high_m, low_m).astype(np.float32)

@@ -104,8 +104,7 @@ class Avatar:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
         name = "mesh.faces" if level == MAP_SIZE else faces_name(level)
-        faces: IntArray = self.tensors[name]
-        return faces
+        return self.tensors[name]
 
     def decoded_faces(self, level: int) -> IntArray:
         """Those of `level_faces` whose pixels are decoded, int32 ``[F, 3]``."""
@@ -126,8 +125,7 @@ class Avatar:
         """The mesh at rest, float32 ``[V, 3]``."""
         uv = self.tensors["mesh.vertex_uv"]
         if self.spec.geometry == "bases":
-            mean: FloatArray = self.tensors["linear.mean"].reshape(-1, 3)[: len(uv)]
-            return mean
+            return self.tensors["linear.mean"].reshape(-1, 3)[: len(uv)]
         return sample_vertices(self.tensors["geometry.mean"], uv)
 
     def sheet_vertices(self, level: int) -> IntArray | None:
@@ -138,8 +136,7 @@ class Avatar:
             return None
         if level == MAP_SIZE:
             return np.arange(len(self.tensors["mesh.vertex_uv"]), dtype=np.int32)
-        used: IntArray = np.unique(faces)
-        return used
+        return np.unique(faces)
 
     def sheet_places(self, level: int) -> IntArray:
         """The vertex at each place of a sheet that bases make; the last one fills its last row."""

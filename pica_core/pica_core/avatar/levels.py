@@ -78,8 +78,7 @@ def sheet_uv(num_vertices: int, level: int) -> FloatArray:
     """Where vertices stand in their sheet, as texture coordinates. float32 ``[V, 2]``."""
     number, rows = np.arange(num_vertices), sheet_rows(num_vertices, level)
     across, down = (number % level + 0.5) / level, (number // level + 0.5) / rows
-    places: FloatArray = np.stack([across, down], axis=1).astype(np.float32)
-    return places
+    return np.stack([across, down], axis=1).astype(np.float32)
 
 
 def faces_name(level: int) -> str:
@@ -140,8 +139,7 @@ def pack_parts(parts: Array) -> ByteArray:
     """Parts of vertices ``[V]`` as the file holds them."""
     rows = np.zeros((static_shape(len(parts))[0], 4), np.uint8)
     rows.reshape(-1)[: len(parts)] = parts
-    packed: ByteArray = np.bitwise_or.reduce(rows << _SHIFTS, axis=1)
-    return packed
+    return np.bitwise_or.reduce(rows << _SHIFTS, axis=1)
 
 
 def parts_of(tensors: Mapping[str, Array]) -> ByteArray | None:
@@ -150,8 +148,7 @@ def parts_of(tensors: Mapping[str, Array]) -> ByteArray | None:
     if packed is None:
         return None
     bits = ((packed[:, None] >> _SHIFTS) & 3).reshape(-1)
-    parts: ByteArray = np.minimum(bits[: len(tensors["mesh.vertex_uv"])], STATIC).astype(np.uint8)
-    return parts
+    return np.minimum(bits[: len(tensors["mesh.vertex_uv"])], STATIC).astype(np.uint8)
 
 
 def decoded_faces(faces: IntArray, parts: ByteArray | None) -> IntArray:

@@ -300,12 +300,10 @@ def _cut(vertex_uv: FloatArray, vertices: IntArray) -> list[IntArray]:
 
 def signed_codes(array: Array) -> Array:
     """Values from -1 to 1 as bytes 1 to 255, 0 as 128."""
-    codes: Array = (np.rint(array * np.float32(127)) + 128).clip(1, 255).astype(np.uint8)
-    return codes
+    return (np.rint(array * np.float32(127)) + 128).clip(1, 255).astype(np.uint8)
 
 
 def round_signed(array: Array) -> Array:
     """Values from -1 to 1 as "s8" gives them back."""
     step = np.float32(SIGNED_STEP)
-    rounded: Array = -128 * step + step * signed_codes(array).astype(np.float32)
-    return rounded
+    return -128 * step + step * signed_codes(array).astype(np.float32)

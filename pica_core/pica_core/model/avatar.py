@@ -89,8 +89,7 @@ class PixelCodecAvatar(interface.AvatarModel):
     def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
         """Expression maps, ``[N, 4, 256, 256]``."""
         grid = torch.cat([latent, tile_view_direction(view_direction)], 1)
-        codes: Tensor = self.expression(grid)
-        return codes
+        return self.expression(grid)
 
     def shade(self, appearance: Tensor, surface: interface.Surface) -> Tensor:
         """Colours by the pixel decoder, from expression maps."""

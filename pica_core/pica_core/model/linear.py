@@ -139,5 +139,4 @@ class LinearEncoder(LatentEncoder):
 def code_scale(prior: LinearPrior) -> FloatArray:
     """Deviation of each basis's entry of the latent, ``[K]``."""
     deviation_m = prior.deviation_m
-    scale: FloatArray = (CODE_SCALE * np.sqrt(deviation_m / deviation_m.max())).astype(np.float32)
-    return scale
+    return (CODE_SCALE * np.sqrt(deviation_m / deviation_m.max())).astype(np.float32)

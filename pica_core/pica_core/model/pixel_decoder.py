@@ -223,5 +223,4 @@ class PixelDecoder(nn.Module):
             sRGB, 1.0 is 255; not clamped. ``[P, 3]``.
         """
         encoded = [expression, self.xyz(xyz_m / XYZ_UNIT_M), self.encoding(uv)]
-        colours: Tensor = self.colour(torch.cat(encoded, 1))
-        return colours
+        return self.colour(torch.cat(encoded, 1))

@@ -100,8 +100,7 @@ def _texel_weights(texel_uv: FloatArray, corners: Int64Array, texels: Int64Array
     point = texels[:, ::-1] + 0.5
     opposite = ((b - point, c - point), (c - point, a - point), (a - point, b - point))
     areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in opposite], 1)
-    weights: FloatArray = (areas / areas.sum(1, keepdims=True)).astype(np.float32)
-    return weights
+    return (areas / areas.sum(1, keepdims=True)).astype(np.float32)
 
 
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
@@ -176,8 +175,7 @@ class CaptureMeshes:
 
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
-        mesh: FloatArray = self.dense_m[frame, self._dense_vertex]
-        return mesh
+        return self.dense_m[frame, self._dense_vertex]
 
     def best(self, frame: int, name: TopologyName) -> FloatArray:
         """The mesh of a topology that `source` has, ``[V, 3]``: a tracked one on the dense topology
@@ -208,8 +206,7 @@ class CaptureMeshes:
 
 def important_vertices(topology: Topology) -> BoolArray:
     """Which vertices are of `IMPORTANT_REGIONS`. bool ``[V]``."""
-    important: BoolArray = np.logical_or.reduce([topology.region(n) for n in IMPORTANT_REGIONS])
-    return important
+    return np.logical_or.reduce([topology.region(n) for n in IMPORTANT_REGIONS])
 
 
 def vertex_importance(
@@ -366,8 +363,7 @@ class TrainingData:
     def draw(self, count: int, balance: float, rng: np.random.Generator) -> list[int]:
         """Draw training frames, with repetition, rare ones more often by the power `balance`."""
         weights = self.rarity**balance
-        drawn: list[int] = rng.choice(self.train_frames, count, p=weights / weights.sum()).tolist()
-        return drawn
+        return rng.choice(self.train_frames, count, p=weights / weights.sum()).tolist()
 
 
 READ_TEXELS = 8192

@@ -82,10 +82,7 @@ def bootstrap_interval(values: npt.ArrayLike) -> tuple[float, float]:
 
 def _blur(image: Float64Array) -> Float64Array:
     """Gaussian means; beyond the border the last pixel goes on."""
-    means: Float64Array = gaussian_filter(
-        image, SSIM_SIGMA_PX, mode="nearest", radius=SSIM_REACH_PX, axes=(0, 1)
-    )
-    return means
+    return gaussian_filter(image, SSIM_SIGMA_PX, mode="nearest", radius=SSIM_REACH_PX, axes=(0, 1))
 
 
 Source = Literal["encoder", "driver"]
@@ -131,22 +128,17 @@ class ModelEvaluator:
     def latent(self, frame: int, source: Source) -> Tensor:
         """The encoder's mean for a frame, or what a live sender would send, ``[1, 4, 8, 8]``."""
         if source == "driver":
-            driven: Tensor = self.model.expression_encoder(
-                self.data.arkit[[frame]].to(self._device)
-            )
-            return driven
+            return self.model.expression_encoder(self.data.arkit[[frame]].to(self._device))
         texture = self.data.images.texture(frame, self.model.encoder.texture_size)
         given = [
             each[None].to(self._device) for each in (texture, self.data.meshes.position_map(frame))
         ]
-        mean: Tensor = self.model.encoder(*given)[0]
-        return mean
+        return self.model.encoder(*given)[0]
 
     @torch.no_grad()
     def vertices_m(self, latent: Tensor) -> FloatArray:
         """Decoded vertices of one latent, on the topology that the model draws, ``[V, 3]``."""
-        vertices: FloatArray = self.model.vertices(latent)[0].cpu().numpy()
-        return vertices
+        return self.model.vertices(latent)[0].cpu().numpy()
 
     @torch.no_grad()
     def draw(
@@ -278,5 +270,4 @@ def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> 
     meshes, is_tracked = evaluator.data.meshes, evaluator.model.topology == "tracked"
     wanted = meshes.true_at_tracked(frame) if is_tracked else meshes.dense_m[frame]
     found = evaluator.vertices_m(evaluator.latent(frame, source))
-    off_mm: FloatArray = 1000 * np.linalg.norm(found - wanted, axis=1)
-    return off_mm
+    return 1000 * np.linalg.norm(found - wanted, axis=1)

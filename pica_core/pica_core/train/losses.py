@@ -102,8 +102,7 @@ def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
     """
     normals = torch.linalg.cross(below - points, right - points)
     # Points are metres apart by fractions of a millimetre: keep the smallest useful area.
-    unit: Tensor = normals / (normals.square().sum(-1, keepdim=True) + 1e-24).sqrt()
-    return unit
+    return normals / (normals.square().sum(-1, keepdim=True) + 1e-24).sqrt()
 
 
 def normal_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:

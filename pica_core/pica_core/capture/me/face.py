@@ -102,8 +102,7 @@ def landmark_places() -> Places:
 
     def between(values: Array) -> Float64Array:
         corners = values[..., vertices, :].astype(np.float64)
-        found: Float64Array = np.einsum("nk,...nkc->...nc", weights, corners)
-        return found
+        return np.einsum("nk,...nkc->...nc", weights, corners)
 
     return Places(
         mean_m=between(model.mean.rest_m),

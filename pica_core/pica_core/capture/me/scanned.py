@@ -62,8 +62,7 @@ class Unwrapped:
 
     def at(self, values: FloatArray | Float64Array) -> Float64Array:
         """Values of vertices ``[P, ...]`` at the texels. ``[T, ...]``."""
-        found: Float64Array = np.einsum("tk,tk...->t...", self.weights, values[self.faces])
-        return found
+        return np.einsum("tk,tk...->t...", self.weights, values[self.faces])
 
 
 def unwrap(model: FaceModel) -> Unwrapped:

@@ -285,8 +285,7 @@ def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Arr
 def _line(points: FloatArray, x: FloatArray) -> FloatArray:
     """Height of a lid's edge, through its points ``[n, 3]``, at `x`. ``[V]``."""
     order = np.argsort(points[:, 0])
-    height: FloatArray = np.interp(x, points[order, 0], points[order, 1]).astype(np.float32)
-    return height
+    return np.interp(x, points[order, 0], points[order, 1]).astype(np.float32)
 
 
 def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:

@@ -188,8 +188,7 @@ def _evened(rest_m: Float64Array, faces: Array, is_static: BoolArray) -> BoolArr
     place = weld(rest_m)
     label = components(place[own], len(rest_m))[place]
     area = np.bincount(label[own[:, 0]], areas(rest_m, own), label.max() + 1)
-    large: BoolArray = is_static & (area[label] > LEAST_AREA_M2)
-    return large
+    return is_static & (area[label] > LEAST_AREA_M2)
 
 
 NOISE_RATIO = 0.1

@@ -230,8 +230,7 @@ def _alone(triangles: Array) -> BoolArray:
     """Whether no other triangle has the side, for each side of each triangle. ``[F, 3]``."""
     sides = np.sort(edges(triangles), axis=1)
     _, inverse, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    alone: BoolArray = count[inverse.reshape(-1)].reshape(-1, 3) == 1
-    return alone
+    return count[inverse.reshape(-1)].reshape(-1, 3) == 1
 
 
 def _normals(corners: Array) -> Array:
@@ -239,14 +238,12 @@ def _normals(corners: Array) -> Array:
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     # np.cross takes five times as long for a handful of triangles.
     left, right = first[..., [1, 2, 0]], second[..., [1, 2, 0]]
-    normals: Array = (left * second[..., [2, 0, 1]]) - first[..., [2, 0, 1]] * right
-    return normals
+    return (left * second[..., [2, 0, 1]]) - first[..., [2, 0, 1]] * right
 
 
 def _uv_area(corners: Array) -> Array:
     sides = corners[:, 1:] - corners[:, :1]
-    area: Array = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
-    return area
+    return sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
 
 
 def _flat_quadrics(corners: Array) -> Array:
@@ -272,22 +269,19 @@ def _quadrics(origin: Array, directions: list[Array]) -> Array:
 
 
 def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    return unit
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 def _pack(matrices: Array) -> Array:
     """Upper triangles of symmetric matrices ``[N, D, D]`` as rows."""
     rows, columns = np.triu_indices(matrices.shape[1])
-    packed: Array = matrices[:, rows, columns]
-    return packed
+    return matrices[:, rows, columns]
 
 
 def _pack_outer(vectors: Array) -> Array:
     """x x^T packed so that its product with `_pack` of Q is x^T Q x."""
     rows, columns = np.triu_indices(vectors.shape[1])
-    packed: Array = vectors[:, rows] * vectors[:, columns] * np.where(rows == columns, 1.0, 2.0)
-    return packed
+    return vectors[:, rows] * vectors[:, columns] * np.where(rows == columns, 1.0, 2.0)
 
 
 def weld(vertices_m: npt.ArrayLike) -> Int64Array:
