@@ -1,5 +1,7 @@
 """An avatar under live drive, beside the head itself."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,16 @@ from helpers.paths import ROOT
 from helpers.toy import grid_faces
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.drive import DriveBenchConfig, run_drive_bench, same_vertices
+from pica_core.capture.person import subject
 
 pytestmark = pytest.mark.render
 
 
-def test_an_avatar_resembles_its_head_most_at_the_full_level() -> None:
+def test_an_avatar_resembles_its_head_most_at_the_full_level(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    quick = partial(subject.PersonSubject, bake_size=512, self_shadow=False)
+    monkeypatch.setattr(subject, "PersonSubject", quick)
     library = AvatarLibrary()
     amara = library.load(library.find("amara"))
     library.close()
