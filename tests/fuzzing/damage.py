@@ -2,8 +2,6 @@
 of. A control message is read, some places of its tree change, and it is written again; a media
 message is written from headers that are nearly right."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Sequence

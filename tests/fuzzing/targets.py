@@ -5,8 +5,6 @@ defect. A media message is a bundle of frames. What lies behind a code that nobo
 seal, a key message) is read as far as the code.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

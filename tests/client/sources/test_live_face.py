@@ -1,7 +1,5 @@
 """Samples that arrive when they arrive become a face that moves evenly, holds and rests."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Each tracker's protocol against datagrams that were built from its specification."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 

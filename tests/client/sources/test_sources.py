@@ -1,8 +1,6 @@
 """Sources as functions of time: Live Link Face files, looping, interpolation, naming; the
 performances that ship against the statistics of seven real Live Link Face takes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

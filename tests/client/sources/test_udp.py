@@ -1,7 +1,5 @@
 """Live sources on real sockets of this machine, and recordings of what they sent."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections import Counter

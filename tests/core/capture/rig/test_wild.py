@@ -1,7 +1,5 @@
 """One head in the forms in which rigs are found: all must give the same picture."""
 
-from __future__ import annotations
-
 import io
 import json
 import re
