@@ -1,9 +1,6 @@
 """Pages in a headless Chromium, served to it from here, that post what they find."""
 
 import json
-import shutil
-import subprocess
-import tempfile
 import threading
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -11,18 +8,12 @@ from pathlib import Path
 from queue import Queue
 from typing import Any
 
-import pytest
-
+from helpers.chromium import chromium
 from helpers.paths import ROOT
 from pica_server.web import shader_texts
 
 WEB = ROOT / "server" / "pica_server" / "web"
 PAGES = ROOT / "tests" / "web" / "pages"
-FLAGS = (
-    "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "
-    "--ignore-gpu-blocklist --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --disable-dev-shm-usage --disable-extensions"
-)
 TYPES = {".js": "text/javascript", ".html": "text/html", ".css": "text/css", ".json": "text/json"}
 
 
@@ -72,20 +63,13 @@ def run_page(
     Returns:
         What else it posted, by path, and what it found.
     """
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("chromium is not installed")
     server = _Server({"shaders.json": json.dumps(shader_texts()).encode(), **files})
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     posted: dict[str, bytes] = {}
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:
-        url = f"http://127.0.0.1:{server.server_port}/{page}"
-        process = subprocess.Popen(
-            [chromium, *FLAGS.split(), f"--user-data-dir={home}", *flags, url],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        try:
+    try:
+        with chromium(*flags) as tab:
+            tab.open(f"http://127.0.0.1:{server.server_port}/{page}")
             while True:
                 path, body = server.posted.get(timeout=timeout_s)
                 if path == "/done":
@@ -93,9 +77,7 @@ def run_page(
                     assert "error" not in found, found["error"]
                     return posted, found
                 posted[path] = body
-        finally:
-            process.terminate()
-            process.wait(10)
-            server.shutdown()
-            server.server_close()
-            thread.join()
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()

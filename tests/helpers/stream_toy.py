@@ -19,7 +19,7 @@ NUM_MOVING = 12
 STILL = np.zeros(3)
 
 
-def toy_faces(seed: int, num_frames: int, liveliness: float = 1.0) -> Float64Array:
+def toy_faces(seed: int, num_frames: int) -> Float64Array:
     """ARKit values of a face that talks, blinks and rests. ``[T, 52]``."""
     rng = np.random.default_rng([seed, 77])
     times_s = np.arange(num_frames)[:, None] / 30
@@ -35,7 +35,7 @@ def toy_faces(seed: int, num_frames: int, liveliness: float = 1.0) -> Float64Arr
     frame = np.cumsum(talks, axis=0)[:, 0] - 1  # at rest the face stays where it is
     faces = np.full((num_frames, NUM_ARKIT), 0.02)
     faces[:, rng.permutation(NUM_ARKIT)[:NUM_MOVING]] += moving[np.maximum(frame, 0)]
-    return liveliness * np.clip(faces, 0, 1)
+    return np.clip(faces, 0, 1)
 
 
 def toy_pose(seed: int, num_frames: int) -> Float64Array:

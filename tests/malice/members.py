@@ -287,22 +287,10 @@ def do_nothing(foe: Foe, now: float) -> None:
     """Wait."""
 
 
-TRICKS: list[Callable[[Foe, float], None]] = [
-    flood,
-    flood,
-    send_on_other_streams,
-    replay,
-    whisper,
-    subscribe,
-    change_metadata,
-    moderate,
-    lose_connection,
-    join_beside,
-    send_damaged,
-    join_again,
-    stop_reading,
-    do_nothing,
-]
+TRICKS: tuple[Callable[[Foe, float], None], ...] = (
+    *(flood, flood, send_on_other_streams, replay, whisper, subscribe, change_metadata, moderate),
+    *(lose_connection, join_beside, send_damaged, join_again, stop_reading, do_nothing),
+)
 
 
 def run(seed: int) -> Counter[str]:

@@ -440,16 +440,9 @@ class World:
 
 
 TRICKS: tuple[Callable[[World, Line], None], ...] = (
-    World.replay_media,
-    World.replay_notes,
-    World.forge_return,
-    World.return_and_replay,
-    World.return_and_replay,
-    World.reflect,
-    World.withhold,
-    World.lose,
-    World.reorder,
-    World.cut,
+    *(World.replay_media, World.replay_notes, World.forge_return),
+    *(World.return_and_replay, World.return_and_replay, World.reflect),
+    *(World.withhold, World.lose, World.reorder, World.cut),
 )
 
 
