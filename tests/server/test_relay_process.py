@@ -61,7 +61,9 @@ def running_relay(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]
         process.communicate()
 
 
-@pytest.mark.parametrize("module", ["pica_command.options", "pica_server.cli.relay"])
+@pytest.mark.parametrize(
+    "module", ["pica_command.options", "pica_server.cli.relay", "uvloop", "pica_server.relay"]
+)
 def test_a_signal_while_the_relay_is_loaded_ends_it_in_good_order(module: str) -> None:
     early = f"""
 import os, signal, sys

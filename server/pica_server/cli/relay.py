@@ -48,6 +48,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
         ConfigurationError: The address, the certificate, the key file, the ready file or the avatar
             store cannot be used.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until `_run` listens to it
     with asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
         return runner.run(_run(options))
 
@@ -67,9 +68,9 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
 
 
 async def _run(options: RelayOptions) -> dict[str, Any]:
-    from pica_server.relay import Relay  # `pica relay --help` does without it
-
     with _signals_to_stop() as signals, logging_to(sys.stderr, options.log, time.monotonic):
+        from pica_server.relay import Relay  # `pica relay --help` does without it
+
         async with Relay(options.config, processor_s=time.process_time) as server:
             url = server.url
             _spare_the_collector()
