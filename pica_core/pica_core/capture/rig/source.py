@@ -128,7 +128,10 @@ def open_image(where: str, data: bytes) -> ByteArray:
                     f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
                 )
             return np.asarray(image.convert("RGBA"))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError as error:
+        allowed = f"sides up to {MAX_ALBEDO_SIDE} are allowed"
+        raise CaptureError(f"{where}: {error}; {allowed}") from error
+    except (OSError, SyntaxError, ValueError) as error:
         raise CaptureError(f"{where}: not a complete image ({error})") from error
 
 

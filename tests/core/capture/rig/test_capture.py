@@ -73,7 +73,7 @@ def test_bad_wishes_are_told_before_anything_is_written(
         (png((200, 10, 10), kind="BMP"), "cannot identify"),
         (png((0, 0, 0), "I;16"), "8-bit colour"),
         (claiming(9000, 30), "9000x30 pixels; sides up to 8192"),
-        (claiming(30_000, 30_000), "30000x30000|900000000 pixels"),
+        (claiming(30_000, 30_000), "900000000 pixels.*sides up to 8192"),
     ],
 )
 def test_an_image_of_the_wrong_kind_is_refused(data: bytes, words: str) -> None:
