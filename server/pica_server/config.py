@@ -201,6 +201,6 @@ class RelayConfig:
         if self.keys is None and not self.insecure and not is_loopback(self.host):
             raise ConfigurationError(
                 f"--host {self.host} can be reached from other machines and this relay has no "
-                "tokens: name a key file with --keys (`pica token --new-key` makes one), keep "
-                "--host 127.0.0.1, or add --insecure to let anybody in"
+                "tokens: name a key file with --keys (`pica token --keys FILE --new-key` makes "
+                "one), keep --host 127.0.0.1, or add --insecure to let anybody in"
             )

@@ -97,7 +97,7 @@ def parse_keys(text: str) -> Keys:
             raise ConfigurationError(f"line {number}: key id {key_id} is there already")
         keys[key_id] = secret
     if not keys:
-        raise ConfigurationError("there is no key in it; make one with `pica token --new-key`")
+        raise ConfigurationError("no key is in it; `pica token --keys FILE --new-key` makes one")
     return keys
 
 

@@ -186,7 +186,7 @@ def test_a_good_signature_under_wild_claims_lets_in_nobody_without_an_identity(
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "there is no key in it"),
+        ("", "no key is in it"),
         ("k1", "line 1: write a key id and its secret"),
         ("k1 " + "A" * 20, "line 1: a secret has 32 bytes or more"),
         ("\nk1 " + "?" * 44, "line 2: a bad key id, or no base64url"),
