@@ -297,6 +297,7 @@ def _parts(
     return part
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is no number is beyond a limit
 def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     """Bring a rig into our units, axes and names, and find its parts.
 

@@ -149,6 +149,8 @@ MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_ELEMENTS = 1_000_000
+MAX_JSON_VALUES = 1_000_000
+"""Of a document (chosen: rigs have thousands, and a million takes 250 MB)."""
 UNDERSTOOD = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", "VRM")
 """Required extensions that are read; those that say how light meets a surface change nothing."""
 HARMLESS = ("KHR_materials_", "VRMC_")
@@ -176,6 +178,9 @@ class GltfFile:
         data = read_bytes(path)
         self._binary: bytes | None = None
         text = data if path.suffix.lower() == ".gltf" and data[:4] != b"glTF" else self._glb(data)
+        if (values := text.count(b",")) > MAX_JSON_VALUES:
+            allowed = f"at most {MAX_JSON_VALUES:,} are allowed"
+            raise CaptureError(f"{path}: the JSON document has {values:,} values; {allowed}")
         try:
             self.root = json.loads(text.decode("utf-8-sig").rstrip("\0 "))
         except (ValueError, RecursionError) as error:

@@ -189,6 +189,7 @@ def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) 
         (("extensionsRequired",), ["EXT_meshopt_compression"], "'EXT_meshopt_compression'"),
         (("extensionsRequired",), ["ADOBE_materials_thin"], "export without it"),
         (("accessors",), "none", "malformed.*TypeError"),
+        (("extras",), [0] * 1_000_001, "values; at most 1,000,000"),
     ],
 )
 def test_a_hostile_glb_is_refused(
@@ -240,6 +241,11 @@ def test_a_glb_of_numbers_that_cannot_be_is_refused(tmp_path: Path) -> None:
     rig.shapes["jawOpen"][3, 1] = np.nan
     with pytest.raises(CaptureError, match="vertex 3 of shape 'jawOpen' is not finite"):
         read_rig(write_glb(tmp_path / "nan.glb", rig))
+    rig = toy_rig()
+    rig.shapes["jawOpen"][3, 1] = 3e38
+    source = read_rig(write_glb(tmp_path / "far.glb", rig))
+    with pytest.raises(CaptureError, match="moves a vertex by 3e"):
+        build_mesh(source, map_names(list(source.shapes)))
     rig = toy_rig()
     rig.quads["skin"][0, 0] = 60_000
     with pytest.raises(CaptureError, match="indices up to 60000"):
