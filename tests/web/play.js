@@ -20,8 +20,8 @@ export function pose(seat, rotation, translation, centre) {
 
 /** Plan frame after frame, by given costs; what each head got. */
 export function schedule(avatars, camera, frames) {
-  const heads = avatars.map(({ triangles, low, high }, index) =>
-    new Head(String(index), { bounds_min_m: low, bounds_max_m: high }, triangles));
+  const heads = avatars.map(({ triangles, low, high }) =>
+    new Head({ bounds_min_m: low, bounds_max_m: high }, triangles));
   const costs = { decodeS: (level, decode) => costs.decodes[decode][level] };
   const scheduler = new Scheduler(costs);
   return frames.map(({ now, budget, people, draw, decodes }) => {
@@ -55,9 +55,9 @@ export function reopen(header, length) {
   new DataView(data.buffer).setBigUint64(0, BigInt(text.length), true);
   data.set(text, 8);
   data.set(kept.subarray(start), 8 + text.length);
-  openAvatar(data.slice(0, length).buffer, "id");
+  openAvatar(data.slice(0, length).buffer);
 }
 
 export function open(data) {
-  return openAvatar(data.buffer, "id");
+  return openAvatar(data.buffer);
 }

@@ -12,9 +12,9 @@ pytestmark = pytest.mark.unit
 
 HERE = Path(__file__).parent
 WEB = ROOT / "server" / "pica_server" / "web"
-KINDS = {".js", ".html", ".css"}
+KINDS = {".js", ".ts", ".html", ".css"}
 TSC = HERE / "node_modules" / ".bin" / "tsc"
-MAX_LINES, MAX_BYTES = 5_570, 236_000
+MAX_LINES, MAX_BYTES = 5_320, 227_000
 
 
 def test_modules_are_typed() -> None:

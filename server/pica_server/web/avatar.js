@@ -5,13 +5,6 @@
  * may move triangles over one another; shaders keep all within the box, and a lost context heals.
  */
 
-/** @import { Vector } from "./space.js" */
-/** @typedef {{dtype: keyof typeof ARRAYS, shape: number[], start: number, end: number}} Entry */
-/** @typedef {{scale: number[], offset: number[]}} Affine */
-/**
- * @typedef {{position_scale_m: number, bounds_min_m: Vector, bounds_max_m: Vector, view_span:
- * number[]}} Manifest Of the view: least and most yaw, least and most pitch, degrees. */
-
 export const MAP_SIZE = 256;
 /** Map sizes that an avatar can be decoded to. */
 export const LEVELS = [64, 128, MAP_SIZE];
@@ -27,6 +20,7 @@ const [MAX_FILE_BYTES, MAX_HEADER_BYTES] = [64 * 2 ** 20, 256 * 2 ** 10];
 const [MAX_SIDE, MAX_VERTICES, MAX_COMPONENTS, MAX_COVER] = [16_384, 200_000, 4e6, 4];
 const [MAX_EXTENT_M, MAX_SCALE_M, MAX_SCALE] = [0.45, 10, 1e6];
 const [SEAM, STATIC] = [1, 2];
+/** @type {Record<string, any>} */
 const ARRAYS = {
   F32: Float32Array, F16: Float16Array, I32: Int32Array, I16: Int16Array, U16: Uint16Array,
   U8: Uint8Array,
@@ -35,22 +29,21 @@ const ARRAYS = {
 /** What is wrong with an avatar, in one line. */
 export class AvatarError extends Error {}
 
-/** @param {unknown} holds @param {string} problem */
+/** @type {(holds: unknown, problem: string) => void} */
 function demand(holds, problem) {
   if (!holds) throw new AvatarError(problem);
 }
 
-/** Numbers, so many, within a limit. @param {any} value @param {number} count
- * @param {number} limit */
+/** Whether a value is so many numbers within a limit.
+ * @type {(value: any, count: number, limit: number) => boolean} */
 const areNumbers = (value, count, limit) => Array.isArray(value) && value.length === count
   && value.every((each) => typeof each === "number" && Math.abs(each) <= limit);
 
 /** A checked avatar. */
 export class Avatar {
-  /** @param {string} id @param {ArrayBuffer} bytes @param {Manifest} manifest
+  /** @param {ArrayBuffer} bytes @param {Manifest} manifest
    * @param {Record<string, Entry>} entries @param {Record<string, Affine>} affine */
-  constructor(id, bytes, manifest, entries, affine) {
-    this.id = id;
+  constructor(bytes, manifest, entries, affine) {
     this.manifest = manifest;
     this._bytes = bytes;
     this._entries = entries;
@@ -66,10 +59,6 @@ export class Avatar {
       ? this.integers("static.parts", Math.ceil(this.numVertices / 4)) : [];
     this._faces = LEVELS.map((level) =>
       new Uint32Array(this.integers(level === MAP_SIZE ? "mesh.faces" : `level.${level}.faces`)));
-    this._sheets = LEVELS.map((level) =>
-      (level === MAP_SIZE ? allTo(this.numVertices) : verticesOf(this.faces(level))));
-    /** @type {Map<string, Uint32Array>} */
-    this._kinds = new Map();
     this._check();
   }
 
@@ -79,28 +68,25 @@ export class Avatar {
     return this._entries[name].shape;
   }
 
-  /** A tensor as its file holds it. @param {string} name @param {number} size Of all its numbers; 0
-   * if any will do. */
+  /** A tensor as its file holds it; with a size, it has so many numbers.
+   * @param {string} name @returns {any} */
   integers(name, size = 0) {
     const shape = this.shape(name);
     const { dtype, start, end } = this._entries[name];
     const found = new ARRAYS[dtype](this._bytes.slice(start, end));
-    const isSized = !size || found.length === size;
-    demand(isSized, `tensor ${name} has shape [${shape}]; ${size} numbers are needed`);
+    demand(!size || found.length === size,
+      `tensor ${name} has shape [${shape}]; ${size} numbers are needed`);
     return found;
   }
 
-  /** A tensor as floats. @param {string} name @param {number} size */
+  /** A tensor as floats. @param {string} name */
   floats(name, size = 0) {
-    const [stored, affine] = [this.integers(name, size), this._affine[name]];
-    if (!affine) return new Float32Array(stored);
-    const channels = affine.scale.length;
+    const affine = this._affine[name];
+    const found = new Float32Array(this.integers(name, size));
+    if (!affine) return found;
+    const { offset } = affine;
     const scale = affine.scale.map(Math.fround);
-    const found = new Float32Array(stored.length);
-    for (let at = 0; at < found.length; ++at) {
-      found[at] = affine.offset[at % channels] + scale[at % channels] * stored[at];
-    }
-    return found;
+    return found.map((code, at) => offset[at % scale.length] + scale[at % scale.length] * code);
   }
 
   /** Triangles of a level. @param {number} level */
@@ -108,16 +94,13 @@ export class Avatar {
     return this._faces[LEVELS.indexOf(level)];
   }
 
-  /** Those that are decoded, or those that have a texture. @param {number} level
-   * @param {"decoded" | "textured"} kind */
+  /** Those that are decoded, or those that have a texture.
+   * @param {number} level @param {"decoded" | "textured"} kind */
   facesOf(level, kind) {
-    const key = `${level} ${kind}`;
-    const found = this._kinds.get(key) ?? filterFaces(this.faces(level), (a, b, c) => {
+    return filterFaces(this.faces(level), (a, b, c) => {
       const least = Math.min(this.part(a), this.part(b), this.part(c));
       return kind === "textured" ? least >= SEAM : least < STATIC;
     });
-    this._kinds.set(key, found);
-    return found;
   }
 
   /** What a vertex belongs to: 0 moves, 1 is the seam, 2 has a texture. @param {number} vertex */
@@ -128,7 +111,8 @@ export class Avatar {
   /** The vertices that a decode at a level makes, in the order of its sheet.
    * @param {number} level */
   sheetVertices(level) {
-    return this._sheets[LEVELS.indexOf(level)];
+    return level === MAP_SIZE ? Uint32Array.from({ length: this.numVertices }, (_, index) => index)
+      : verticesOf(this.faces(level));
   }
 
   /** Width of the shoulders, and the height at which the mesh ends, metres. */
@@ -143,6 +127,7 @@ export class Avatar {
 
   _check() {
     const [directions, bases] = this.shape("linear.mix");
+    /** @type {number[]} */
     const rank = Array.from(this.rank);
     const isRank = rank.every((value) => value >= 0 && value <= bases)
       && rank.reduce((a, b) => a + b) === directions;
@@ -164,30 +149,24 @@ export class Avatar {
   }
 }
 
-/** @param {number} count */
-const allTo = (count) => Uint32Array.from({ length: count }, (_, index) => index);
 /** The vertices that triangles have, ascending. @param {Uint32Array} faces */
 export const verticesOf = (faces) => Uint32Array.from(new Set(faces)).sort();
 
 /** The triangles that pass. @param {Uint32Array} faces
  * @param {(a: number, b: number, c: number) => boolean} passes */
 export function filterFaces(faces, passes) {
-  const found = new Uint32Array(faces.length);
-  let count = 0;
-  for (let at = 0; at < faces.length; at += 3) {
-    if (!passes(faces[at], faces[at + 1], faces[at + 2])) continue;
-    found.set(faces.subarray(at, at + 3), count);
-    count += 3;
-  }
-  return found.slice(0, count);
+  return faces.filter((_, at) => {
+    const first = at - (at % 3);
+    return passes(faces[first], faces[first + 1], faces[first + 2]);
+  });
 }
 
 /**
  * Read and check an avatar.
- * @param {ArrayBuffer} bytes @param {string} id
+ * @param {ArrayBuffer} bytes
  * @throws {AvatarError} What is wrong with it.
  */
-export function openAvatar(bytes, id) {
+export function openAvatar(bytes) {
   const total = bytes.byteLength;
   demand(total >= 8 && total <= MAX_FILE_BYTES, `it has ${total} bytes: this is no avatar file`);
   const start = 8 + Number(new DataView(bytes).getBigUint64(0, true));
@@ -200,10 +179,10 @@ export function openAvatar(bytes, id) {
   checkManifest(manifest);
   const entries = Object.entries(header)
     .map(([name, entry]) => [name, checkEntry(name, Object(entry), affine, start, total)]);
-  return new Avatar(id, bytes, manifest, Object.fromEntries(entries), affine);
+  return new Avatar(bytes, manifest, Object.fromEntries(entries), affine);
 }
 
-/** @param {string} field @param {string} text */
+/** @type {(field: string, text: string) => any} */
 function parse(field, text) {
   try {
     return Object(JSON.parse(text));
@@ -224,8 +203,7 @@ function checkManifest({ schema_version: version, spec, position_scale_m: scale,
     "its manifest has no sound bounds, view_span or position_scale_m");
 }
 
-/** @param {string} name @param {any} entry @param {any} affine @param {number} start
- * @param {number} total @returns {Entry} */
+/** @type {(name: string, entry: any, affine: any, start: number, total: number) => Entry} */
 function checkEntry(name, { dtype, shape, data_offsets: offsets }, affine, start, total) {
   const isShape = Array.isArray(shape) && shape.length > 0
     && shape.every((side) => Number.isInteger(side) && side > 0
@@ -237,8 +215,8 @@ function checkEntry(name, { dtype, shape, data_offsets: offsets }, affine, start
   const isCode = areNumbers(scale, channels, MAX_SCALE) && areNumbers(offset, channels, MAX_SCALE);
   const isType = Object.hasOwn(ARRAYS, dtype) && isCode === !(isCount || dtype.startsWith("F"))
     && !(isCount && dtype.startsWith("F"));
-  const { BYTES_PER_ELEMENT: size } = ARRAYS[/** @type {keyof typeof ARRAYS} */ (dtype)] ?? {};
-  const bytes = isShape && isType ? shape.reduce((product, side) => product * side, size) : NaN;
+  const bytes = isShape && isType
+    ? shape.reduce((product, side) => product * side, ARRAYS[dtype].BYTES_PER_ELEMENT) : NaN;
   const [from, to] = Array.isArray(offsets) ? offsets : [];
   demand(Number.isInteger(from) && from >= 0 && to - from === bytes && start + to <= total,
     `tensor ${name.slice(0, 80)} is cut or damaged: it has no proper type, shape or place`);
@@ -247,16 +225,14 @@ function checkEntry(name, { dtype, shape, data_offsets: offsets }, affine, start
 
 /** @param {Float32Array} places @param {Uint32Array} faces */
 function areaM2(places, faces) {
-  const sides = new Float64Array(6);
   let sum = 0;
   for (let at = 0; at < faces.length; at += 3) {
-    for (let k = 0; k < 6; ++k) {
-      sides[k] = places[3 * faces[at + (k < 3 ? 1 : 2)] + (k % 3)] - places[3 * faces[at] + (k % 3)];
-    }
-    const x = sides[1] * sides[5] - sides[2] * sides[4];
-    const y = sides[2] * sides[3] - sides[0] * sides[5];
-    const z = sides[0] * sides[4] - sides[1] * sides[3];
-    sum += Math.sqrt(x * x + y * y + z * z) / 2;
+    const [a, b, c] = [3 * faces[at], 3 * faces[at + 1], 3 * faces[at + 2]];
+    /** @type {(axis: number, other: number) => number} */
+    const cross = (axis, other) => (places[b + axis] - places[a + axis])
+      * (places[c + other] - places[a + other])
+      - (places[b + other] - places[a + other]) * (places[c + axis] - places[a + axis]);
+    sum += Math.hypot(cross(1, 2), cross(2, 0), cross(0, 1)) / 2;
   }
   return sum;
 }

@@ -8,14 +8,7 @@ import { Playout } from "./playout.js";
 import { Guard, readSecret } from "./sframe.js";
 import { Voice } from "./voice.js";
 
-/** @import { Avatar } from "./avatar.js" */
-/** @import { SealState } from "./sframe.js" */
-/** @import { Frame, Message, Peer, Track } from "./wire.js" */
-/** @typedef {{values: Float32Array, status: "live" | "stale" | "away"}} Face What is shown of it,
- * and how fresh that is. */
-
-const [LOWER_AFTER_S, LOWER_INTERVAL_S] = [0.5, 1];
-const STALE_AFTER_S = 2;
+const [LOWER_INTERVAL_S, STALE_AFTER_S] = [1, 2];
 const PLACE_IS_KEPT_S = 120;
 const MAX_AVATAR_BYTES = 64 * 2 ** 20;
 /** Between two tries to get an avatar file, which its owner may still be giving. */
@@ -32,18 +25,15 @@ const SEAL_NOTES = {
 
 /** @type {Map<string, Promise<Avatar>>} */
 const avatars = new Map();
-/** Files come one after the other, so that the first face is there early. @type {Promise<unknown>} */
+/** Files come one after the other: the first face is there early. @type {Promise<unknown>} */
 let fetching = Promise.resolve();
 
 /** Get an avatar from the relay, checked and read once; rejects with one clear line.
  * @param {URL} base @param {string} id */
 function getAvatar(base, id) {
-  let found = avatars.get(id);
-  if (!found) {
-    found = fetching.then(() => fetchAvatar(base, id));
-    avatars.set(id, found);
-    fetching = found.catch(() => avatars.delete(id));
-  }
+  const found = avatars.get(id) ?? fetching.then(() => fetchAvatar(base, id));
+  if (!avatars.has(id)) fetching = found.catch(() => avatars.delete(id));
+  avatars.set(id, found);
   return found;
 }
 
@@ -58,7 +48,7 @@ async function fetchAvatar(base, id) {
   const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
   const hex = Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
   if (hex !== id) throw new Error("the relay gave another file than asked for");
-  return openAvatar(bytes, id);
+  return openAvatar(bytes);
 }
 
 /** A member of the room, and what has come of its face. */
@@ -81,7 +71,6 @@ export class Member {
   arrivedS = NaN;
   /** Every which frame of its face the relay sends us; 0 is none. */
   every = 1;
-  lowerS = Infinity;
   loweredS = -Infinity;
 
   /** @param {Call} call @param {Peer} peer @param {number} place In the order of coming.
@@ -161,31 +150,20 @@ export class Member {
     return { values: this.played.values, status };
   }
 
-  /** Say which share of the stream is needed: all, a half, a quarter, none. The relay is told late
-   * of less. @param {number} every */
+  /** Say which share of the stream is needed: all, a half, a quarter, none. The relay is told of
+   * less once a second at most. @param {number} every */
   want(every) {
     const now = seconds();
-    const isMore = share(every) > share(this.every);
-    if (every === this.every || isMore) this.lowerS = Infinity;
-    const isNew = this.lowerS === Infinity && every !== this.every;
-    if (isNew) this.lowerS = Math.max(now + LOWER_AFTER_S, this.loweredS + LOWER_INTERVAL_S);
-    if (!this.track || every === this.every || (!isMore && now < this.lowerS)) return;
+    const isLess = (every || Infinity) > (this.every || Infinity);
+    if (!this.track || every === this.every) return;
+    if (isLess && now < this.loweredS + LOWER_INTERVAL_S) return;
     if (!this.call.link?.tell({ type: "subscribe", stream: this.track.stream, every })) return;
-    if (!isMore) this.loweredS = now;
-    this.noteEvery(every, now);
-  }
-
-  /** @param {number} every @param {number} now */
-  noteEvery(every, now) {
+    if (isLess) this.loweredS = now;
     if (!this.every) this.arrivedS = now; // until now none was expected
-    this.lowerS = Infinity;
     this.every = every;
     this.isHeld ||= every === 0;
   }
 }
-
-/** The share of the frames that are sent. @param {number} every */
-const share = (every) => (every ? 1 / every : 0);
 
 /** Says `people`, `status` or `voice` when `members`, `status` or `voice` have changed. */
 export class Call extends EventTarget {
@@ -319,8 +297,8 @@ export class Call extends EventTarget {
     const { link, guard } = this;
     const frame = link?.number(kind, payload, capturedUs, multiple);
     if (!frame) return;
-    if (guard === null) link?.send(frame);
-    else this.after(async () => link?.send(await guard.seal(frame, seconds())));
+    this.after(async () =>
+      link?.send(guard ? await guard.seal(frame, kind === "face", seconds()) : frame));
   }
 
   noteVoice() {
@@ -356,14 +334,10 @@ export class Call extends EventTarget {
   /** @param {Message} message */
   receive(message) {
     const { guard } = this;
-    if (guard === null) {
-      this.note(message);
-      return;
-    }
     this.after(async () => {
-      await guard.receive(message, seconds());
-      if (message.type !== "whisper") this.note(message);
-      await this.tickGuard(guard);
+      await guard?.receive(message, seconds());
+      if (guard === null || message.type !== "whisper") this.note(message);
+      if (guard !== null) await this.tickGuard(guard);
     });
   }
 
@@ -371,28 +345,24 @@ export class Call extends EventTarget {
   receiveFrame(frame) {
     const now = seconds();
     const { guard } = this;
-    if (guard === null) {
-      if (!this.byStream.get(frame.stream)?.isSealed) this.play(frame, now);
-      return;
-    }
     this.after(async () => {
-      const opened = await guard.open(frame, seconds());
-      if (opened !== null) this.play(opened, now);
+      const member = this.byStream.get(frame.stream);
+      if (!member || (guard === null && member.isSealed)) return;
+      const isFace = member.track?.stream === frame.stream;
+      const opened = guard ? await guard.open(frame, member.id, isFace, seconds()) : frame;
+      if (!opened) return;
+      if (isFace) member.receive(opened, now);
+      else if (member.voice?.stream === frame.stream) this.voice.receive(member.id, opened, now);
     });
-  }
-
-  /** @param {Frame} frame @param {number} now */
-  play(frame, now) {
-    const member = this.byStream.get(frame.stream);
-    if (member?.voice?.stream === frame.stream) this.voice.receive(member.id, frame, now);
-    else member?.receive(frame, now);
   }
 
   /** @param {Message} message */
   note(message) {
     const member = this.members.get(message.peer_id);
     if (message.type === "joined") {
-      this.enter(message.peers);
+      for (const each of this.participants) this.remove(each);
+      for (const peer of message.peers) this.add(peer);
+      this.setStatus({ state: "joined", reason: "" });
     } else if (message.type === "peer_joined") {
       this.remove(this.members.get(message.peer.peer_id));
       this.add(message.peer);
@@ -406,25 +376,6 @@ export class Call extends EventTarget {
       if (message.type === "whisper") member.isSealed = true;
     }
     this.say("people");
-  }
-
-  /** @param {Peer[]} peers */
-  enter(peers) {
-    const present = new Map(peers.map((peer) => [peer.peer_id, peer]));
-    for (const member of this.participants) {
-      const peer = present.get(member.id);
-      const { name, tracks } = member.peer;
-      if (peer && JSON.stringify([peer.name, peer.tracks]) === JSON.stringify([name, tracks])) {
-        member.peer = peer;
-        member.isAway = false;
-        member.noteEvery(1, seconds());
-        present.delete(member.id);
-      } else {
-        this.remove(member);
-      }
-    }
-    for (const peer of present.values()) this.add(peer);
-    this.setStatus({ state: "joined", reason: "" });
   }
 
   /** @param {Peer} peer */

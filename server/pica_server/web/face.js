@@ -7,7 +7,6 @@ import { seconds } from "./clock.js";
 import { NUM_ARKIT, encodeFace } from "./latent_stream.js";
 
 /** @typedef {Record<string, {shape: number[], values: ArrayLike<number>}>} Weights */
-/** @typedef {(payload: Uint8Array, capturedUs: number, multiple: number) => void} Send */
 
 const RATE_HZ = 48_000;
 const [HOP, WINDOW] = [480, 1200];
@@ -60,10 +59,9 @@ class SpeechFeatures {
 
   constructor() {
     const numBins = Math.ceil((HIGHEST_HZ * WINDOW) / RATE_HZ);
-    this.window = each(WINDOW, (n) => 0.5 - 0.5 * Math.cos((2 * Math.PI * n) / (WINDOW - 1)));
-    this.waves = each(numBins, (bin) => [Math.cos, Math.sin].map((wave) =>
-      Float64Array.from(
-        each(WINDOW / 2 + 1, (n) => wave((2 * Math.PI * ((bin * n) % WINDOW)) / WINDOW)))));
+    const window = each(WINDOW, (n) => 0.5 - 0.5 * Math.cos((2 * Math.PI * n) / (WINDOW - 1)));
+    this.waves = each(numBins, (bin) => [Math.cos, Math.sin].map((wave) => Float64Array.from(window,
+        (weight, n) => weight * wave((2 * Math.PI * ((bin * n) % WINDOW)) / WINDOW))));
     const [low, high] = [LOWEST_HZ, HIGHEST_HZ].map((hz) => 2595 * Math.log10(1 + hz / 700));
     const edges = each(NUM_BANDS + 2,
       (i) => 700 * (10 ** ((low + (i * (high - low)) / (NUM_BANDS + 1)) / 2595) - 1));
@@ -82,19 +80,11 @@ class SpeechFeatures {
   push(hop) {
     this.kept.copyWithin(0, HOP);
     this.kept.set(hop, WINDOW - HOP);
-    const sound = this.kept.map((value, n) => value * this.window[n]);
-    // Waves of a whole number of turns are even or odd about the middle: half of the sums will do.
-    const sums = sound.slice(0, WINDOW / 2 + 1);
-    const differences = new Float64Array(WINDOW / 2 + 1);
-    for (let n = 1; n < WINDOW / 2; n++) {
-      sums[n] = sound[n] + sound[WINDOW - n];
-      differences[n] = sound[n] - sound[WINDOW - n];
-    }
     const power = this.waves.map(([even, odd]) => {
       let [real, imaginary] = [0, 0];
-      for (let n = 0; n <= WINDOW / 2; n++) {
-        real += even[n] * sums[n];
-        imaginary += odd[n] * differences[n];
+      for (let n = 0; n < WINDOW; n++) {
+        real += even[n] * this.kept[n];
+        imaginary += odd[n] * this.kept[n];
       }
       return (real * real + imaginary * imaginary) / WINDOW;
     });
@@ -158,7 +148,7 @@ export class OwnFace {
     return new OwnFace(new Mouth(await loadWeights(new URL("mouth.json", import.meta.url))));
   }
 
-  /** @param {Send} send */
+  /** @param {SendFace} send */
   start(send) {
     this.timer = setInterval(() => this.frame(seconds(), send), FRAME_MS);
   }
@@ -175,7 +165,7 @@ export class OwnFace {
     this.heardS = endS - DELAY_S;
   }
 
-  /** @param {number} now @param {Send} send */
+  /** @param {number} now @param {SendFace} send */
   frame(now, send) {
     const idleS = now - DELAY_S;
     const isHeard = idleS - this.heardS < REST_S;

@@ -7,12 +7,6 @@
 import { filterFaces, MAP_SIZE, verticesOf } from "./avatar.js";
 import { AXIS_ROW, axisLevels, pixelDefines, sirenSource } from "./siren.js";
 
-/** @import { Avatar } from "./avatar.js" */
-/** @import { Decoder } from "./decode.js" */
-/** @import { Graphics, Program, Texture, Triangles } from "./gl.js" */
-/** @typedef {ReturnType<typeof openBody>} Body */
-/** @typedef {{surface: Program, static: Program, unwrap: Program}} MeshPrograms */
-
 const WHOLE_M = [-1e6, -1e6 + 1];
 const [BORDER_M, FADE_M, LOWEST_M, CHIN_M] = [0.045, 0.1, -0.31, -0.12];
 const [BOUNDS_MARGIN_M, SLACK_M] = [0.01, 0.025];
@@ -27,10 +21,7 @@ export function openBody(graphics, programs, avatar, decoder) {
   const { vertexUv, restM, manifest } = avatar;
   const low = manifest.bounds_min_m.map((value) => value - BOUNDS_MARGIN_M);
   const high = manifest.bounds_max_m.map((value) => value + BOUNDS_MARGIN_M);
-  const box = Float32Array.from([...low, ...high]);
   const goneM = Math.max(avatar.bust().lowerM + BORDER_M, LOWEST_M);
-  /** Heights at which nothing is left of the bust, and from which all is there. */
-  const fadeM = [goneM, Math.max(Math.min(goneM + FADE_M, CHIN_M), goneM + 0.005)];
   const shade = graphics.screen("pixel_decoder.frag", pixelDefines(avatar), sirenSource(avatar));
   const encodings = openEncodings(graphics, avatar);
   const still = graphics.texture(graphics.smooth, MAP_SIZE, MAP_SIZE, { smooth: true });
@@ -52,12 +43,12 @@ export function openBody(graphics, programs, avatar, decoder) {
    * @param {(vertex: number) => number[]} numbers */
   function triangles(faces, layout, numbers) {
     const places = new Uint32Array(avatar.numVertices);
-    const used = verticesOf(faces);
-    used.forEach((vertex, place) => (places[vertex] = place));
-    const size = layout.reduce((sum, [, each]) => sum + each, 0);
-    const corners = new Float32Array(size * used.length);
-    used.forEach((vertex, place) => corners.set(numbers(vertex), size * place));
-    return graphics.triangles(faces.map((vertex) => places[vertex]), corners, layout);
+    const corners = Array.from(verticesOf(faces), (vertex, place) => {
+      places[vertex] = place;
+      return numbers(vertex);
+    });
+    return graphics.triangles(faces.map((vertex) => places[vertex]),
+      Float32Array.from(corners.flat()), layout);
   }
 
   /** Triangles at rest. @param {Uint32Array} faces */
@@ -66,47 +57,48 @@ export function openBody(graphics, programs, avatar, decoder) {
     avatar.part(vertex) === 2 ? 1 : 0,
   ]);
 
-  /** @param {string} key @param {() => Triangles | null} make */
-  function mesh(key, make) {
-    if (!meshes.has(key)) meshes.set(key, make());
-    return meshes.get(key) ?? null;
-  }
-
-  /** The decoded triangles of a level. @param {number} level */
-  const decoded = (level) => mesh(`decoded ${level}`, () => {
+  /** @type {(level: number) => Triangles} */
+  function openDecoded(level) {
     const sheet = avatar.sheetVertices(level);
     const slots = new Uint32Array(avatar.numVertices);
     sheet.forEach((vertex, slot) => (slots[vertex] = slot));
     const rows = Math.ceil(sheet.length / level);
-    return triangles(seen(level, "decoded"), [["vertex_place", 2], ["vertex_uv", 2]], (vertex) => {
-      const [row, column] = [Math.floor(slots[vertex] / level), slots[vertex] % level];
-      return [(column + 0.5) / level, (row + 0.5) / rows, vertexUv[2 * vertex],
-        vertexUv[2 * vertex + 1]];
-    });
-  });
+    return triangles(seen(level, "decoded"), [["vertex_place", 2], ["vertex_uv", 2]], (vertex) => [
+      ((slots[vertex] % level) + 0.5) / level, (Math.floor(slots[vertex] / level) + 0.5) / rows,
+      vertexUv[2 * vertex], vertexUv[2 * vertex + 1],
+    ]);
+  }
 
-  /** The triangles of a level that have a texture, if some have. @param {number} level */
-  const textured = (level) => mesh(`static ${level}`, () => {
+  /** @type {(level: number) => Triangles | null} */
+  function openTextured(level) {
     const faces = seen(level, "textured");
     return faces.length ? atRest(faces) : null;
-  });
+  }
+
+  /** The triangles of a level that are decoded, or those that have a texture, if some have.
+   * @type {(level: number, kind: "decoded" | "textured") => Triangles | null} */
+  function mesh(level, kind) {
+    const key = `${level} ${kind}`;
+    if (!meshes.has(key)) meshes.set(key, (kind === "decoded" ? openDecoded : openTextured)(level));
+    return meshes.get(key) ?? null;
+  }
 
   /** Corners of a box that holds all that is drawn: what is still as it is, the rest with slack. */
   function outline() {
-    const [least, most] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-    for (const kind of /** @type {const} */ (["textured", "decoded"])) {
-      const slack = kind === "decoded" ? SLACK_M : 0;
-      for (const vertex of seen(MAP_SIZE, kind)) {
-        for (const axis of [0, 1, 2]) {
-          least[axis] =
-            Math.max(Math.min(least[axis], restM[3 * vertex + axis] - slack), low[axis]);
-          most[axis] = Math.min(Math.max(most[axis], restM[3 * vertex + axis] + slack), high[axis]);
+    const sides = [0, 1, 2].map((axis) => {
+      let [least, most] = [Infinity, -Infinity];
+      for (const kind of /** @type {const} */ (["textured", "decoded"])) {
+        const slack = kind === "decoded" ? SLACK_M : 0;
+        for (const vertex of seen(MAP_SIZE, kind)) {
+          least = Math.min(least, restM[3 * vertex + axis] - slack);
+          most = Math.max(most, restM[3 * vertex + axis] + slack);
         }
       }
-    }
-    least[1] = Math.max(least[1], goneM);
-    return Array.from({ length: 8 },
-      (_, index) => [0, 1, 2].map((axis) => ((index >> axis) & 1 ? most : least)[axis]));
+      const floor = axis === 1 ? Math.max(low[axis], goneM) : low[axis];
+      return [Math.max(least, floor), Math.min(most, high[axis])];
+    });
+    return Array.from({ length: 8 }, (_, index) =>
+      sides.map((side, axis) => side[(index >> axis) & 1]));
   }
 
   /** Colour the still face wherever it has a texture. */
@@ -117,12 +109,9 @@ export function openBody(graphics, programs, avatar, decoder) {
     graphics.free(codes);
     const faces = avatar.facesOf(MAP_SIZE, "textured");
     if (!faces.length) return null;
-    /** @type {[number, number]} */
-    const size = [TEXTURE_PX, TEXTURE_PX];
-    const [xyz, uv] =
-      [graphics.texture(graphics.exact, ...size), graphics.texture(graphics.pairs, ...size)];
-    const depth = graphics.texture("DEPTH", ...size);
-    const skin = graphics.texture("RGBA8", ...size, { smooth: true });
+    const [xyz, uv, depth, skin] = [graphics.exact, graphics.pairs, /** @type {Format} */ ("DEPTH"),
+        /** @type {Format} */ ("RGBA8")].map((format) =>
+        graphics.texture(format, TEXTURE_PX, TEXTURE_PX, { smooth: format === "RGBA8" }));
     const [surface, coloured] = [graphics.target([xyz, uv], depth), graphics.target([skin], depth)];
     const flat = atRest(faces);
     gl.enable(gl.DEPTH_TEST);
@@ -134,30 +123,28 @@ export function openBody(graphics, programs, avatar, decoder) {
     graphics.into(coloured);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    colour({ ...coloured, xyz, uv, expression: still, isChange: false, shownM: WHOLE_M });
+    colour(coloured, { visible_xyz: xyz, visible_uv: uv, expression_map: still, is_change: false,
+      shown: WHOLE_M });
     graphics.free(surface, coloured, xyz, uv, depth, flat);
     return skin;
   }
 
-  /**
-   * Run the pixel decoder where a surface is before the far plane.
-   * @param {import("./gl.js").Target & {xyz: Texture, uv: Texture, expression: Texture, isChange:
-   * boolean, shownM: number[]}} surface
-   */
-  function colour({ xyz, uv, expression, isChange, shownM, ...target }) {
+  /** Run the pixel decoder where a surface is before the far plane.
+   * @param {Target} target @param {Record<string, any>} surface */
+  function colour(target, surface) {
     gl.depthFunc(gl.GREATER);
     gl.depthMask(false);
-    graphics.draw(shade, target, {
-      ...encodings, visible_xyz: xyz, visible_uv: uv, expression_map: expression, still_map: still,
-      is_change: isChange, shown: shownM,
-    });
+    graphics.draw(shade, target, { ...encodings, still_map: still, ...surface });
     gl.depthFunc(gl.LESS);
     gl.depthMask(true);
   }
 
+  const box = Float32Array.from([...low, ...high]);
   const skin = bake();
   return {
-    avatar, box, low, high, fadeM, outline: outline(), skin, decoded, textured, colour,
+    box, skin, mesh, colour, outline: outline(),
+    /** Heights at which nothing is left of the bust, and from which all is there. */
+    fadeM: [goneM, Math.max(Math.min(goneM + FADE_M, CHIN_M), goneM + 0.005)],
     free() {
       graphics.free(...Object.values(encodings), still, skin, ...meshes.values());
       graphics.forget(shade); // its weights are constants
@@ -165,21 +152,19 @@ export function openBody(graphics, programs, avatar, decoder) {
   };
 }
 
-/** @param {Graphics} graphics @param {Avatar} avatar @returns {Record<string, Texture>} */
+/** @type {(graphics: Graphics, avatar: Avatar) => Record<string, Texture>} */
 function openEncodings(graphics, avatar) {
-  const { gl } = graphics;
-  const [size] = avatar.shape("uv_encoding");
+  const [[size], [count]] = [avatar.shape("uv_encoding"), avatar.shape("u_encoding")];
   const joint = graphics.texture("RGBA16F", size, size,
     { smooth: true, levels: Math.floor(Math.log2(size)) + 1 });
   graphics.write(joint, avatar.floats("uv_encoding", 4 * size * size));
-  gl.generateMipmap(gl.TEXTURE_2D);
-  const axes = ["u_encoding", "v_encoding"].map((name) => {
-    const [count] = avatar.shape("u_encoding");
+  graphics.gl.generateMipmap(graphics.gl.TEXTURE_2D);
+  const [u, v] = ["u_encoding", "v_encoding"].map((name) => {
     const data = axisTable(avatar.floats(name, 2 * count), count);
-    return [name,
-      graphics.write(graphics.texture("RGBA32F", AXIS_ROW, data.length / 4 / AXIS_ROW), data)];
+    return graphics.write(
+      graphics.texture("RGBA32F", AXIS_ROW, data.length / 4 / AXIS_ROW), data);
   });
-  return { uv_encoding: joint, ...Object.fromEntries(axes) };
+  return { uv_encoding: joint, u_encoding: u, v_encoding: v };
 }
 
 /** Decoded maps of one head, by level. @param {Graphics} graphics @param {Avatar} avatar */
@@ -191,8 +176,8 @@ export function openMaps(graphics, avatar) {
     const rows = Math.ceil(avatar.sheetVertices(level).length / level);
     const position = graphics.texture(graphics.exact, level, rows);
     const expression = graphics.texture(graphics.smooth, level, level, { smooth: true });
-    return { position, expression, positions: graphics.target([position]),
-      codes: graphics.target([expression]) };
+    const [positions, codes] = [graphics.target([position]), graphics.target([expression])];
+    return { position, expression, positions, codes };
   }
   return {
     /** Of the maps that came last; 0 before any. */
@@ -211,7 +196,7 @@ export function openMaps(graphics, avatar) {
 
 /** A table of two channels and its levels, each with the way to the next entry, in whole rows
  * (`gpu_avatar.axis_table`). @param {Float32Array} table @param {number} count */
-export function axisTable(table, count) {
+function axisTable(table, count) {
   const levels = axisLevels(count);
   const total = 2 ** levels;
   const found = new Float32Array(4 * Math.ceil(total / AXIS_ROW) * AXIS_ROW);
@@ -220,8 +205,7 @@ export function axisTable(table, count) {
   for (let level = 0; level < levels; ++level) {
     const [start, step] = [total - (total >> level), 1 << level];
     for (let at = 0; at < 2 * Math.ceil(count / step); ++at) {
-      const entry = at >> 1;
-      const channel = at & 1;
+      const [entry, channel] = [at >> 1, at & 1];
       const from = entry * step;
       const to = Math.min(from + step, count);
       const mean = (sums[2 * to + channel] - sums[2 * from + channel]) / (to - from);

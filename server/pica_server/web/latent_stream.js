@@ -4,28 +4,14 @@
  * `pica_core.codec` is the Python side.
  */
 
-/** @import { Avatar } from "./avatar.js" */
-/**
- * A face at one moment. Its 262 values: the latent (8 rows, 8 columns, 4 channels), the rotation
- * from head to seat (a rotation vector, radians) and the translation (metres).
- * @typedef {{values: Float32Array, isStill: boolean}} Sample Still: nothing changes until the next
- * one.
- */
-/** @typedef {{frequencies: number[], starts: number[], symbols: Uint8Array}} Table */
-/** @typedef {[start: number, frequency: number]} Range */
-
 export const NUM_LATENT = 256;
 export const NUM_VALUES = NUM_LATENT + 6;
 export const NUM_ARKIT = 52;
-const TOTAL_BITS = 14;
-const TOTAL = 1 << TOTAL_BITS;
-const FULL_RANGE = 2 ** 48;
-const LEAST_RANGE = 2 ** 40;
+const [TOTAL_BITS, TOTAL] = [14, 1 << 14];
+const [FULL_RANGE, LEAST_RANGE] = [2 ** 48, 2 ** 40];
 const MAX_PAYLOAD_BYTES = 1280;
 const [HAS_FACE, HAS_POSE, IS_STILL, HAS_REST] = [1, 2, 4, 8];
-const SHAPE_UNIT = 2 ** -12;
-const POSE_UNIT = 2 ** -14;
-const REST_UNIT = 2 ** -10;
+const [SHAPE_UNIT, POSE_UNIT, REST_UNIT] = [2 ** -12, 2 ** -14, 2 ** -10];
 /** Coefficients of a frame without what is left of a latent. */
 const NUM_DRIVEN = NUM_ARKIT + 6;
 const MAX_SHAPE = 2;
@@ -68,21 +54,23 @@ const LENGTH_TABLES = [
   [4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1],
   [4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1],
 ].map(tableOf);
+const QUALITY_TABLE = tableOf([192, 192, 192, 11426, 3810, 191, 191, 190]);
+const HEADER_TABLE = tableOf([1, 4600, 2, 11440, 1, 59, 1, 270, 1, 1, 1, 3, 1, 1, 1, 1]);
 
 /** What cannot be read as a frame. */
 export class LatentError extends Error {}
 
-/** @type {(frequencies: number[]) => Table} */
+/** Where the share of each symbol begins, and where that of the last ends.
+ * @param {number[]} frequencies */
 function tableOf(frequencies) {
-  const starts =
-    frequencies.map((_, symbol) => frequencies.slice(0, symbol).reduce((a, b) => a + b, 0));
-  const symbols = new Uint8Array(TOTAL);
-  starts.forEach((start, symbol) => symbols.fill(symbol, start, start + frequencies[symbol]));
-  return { frequencies, starts, symbols };
+  const starts = [0];
+  frequencies.forEach((frequency, symbol) => starts.push(starts[symbol] + frequency));
+  return starts;
 }
 
-const QUALITY_TABLE = tableOf([192, 192, 192, 11426, 3810, 191, 191, 190]);
-const HEADER_TABLE = tableOf([1, 4600, 2, 11440, 1, 59, 1, 270, 1, 1, 1, 3, 1, 1, 1, 1]);
+/** The share of a symbol: where it begins, and its size.
+ * @type {(table: number[], symbol: number) => [number, number]} */
+const rangeOf = (table, symbol) => [table[symbol], table[symbol + 1] - table[symbol]];
 
 /** The symbols of one payload, in order. @param {Uint8Array} payload */
 function openPayload(payload) {
@@ -100,8 +88,8 @@ function openPayload(payload) {
     if (found >= TOTAL) throw new LatentError("payload holds a code that no encoder writes");
     return found;
   };
-  /** @type {(start: number, frequency: number) => void} */
-  const take = (start, frequency) => {
+  /** @param {[number, number]} range */
+  const take = ([start, frequency]) => {
     code -= start * width;
     width *= frequency;
     while (width < LEAST_RANGE) {
@@ -110,17 +98,17 @@ function openPayload(payload) {
     }
   };
   return {
-    /** @param {Table} table */
+    /** @param {number[]} table */
     symbol(table) {
-      const symbol = table.symbols[slot()];
-      take(table.starts[symbol], table.frequencies[symbol]);
+      const found = slot();
+      const symbol = table.findLastIndex((start) => start <= found);
+      take(rangeOf(table, symbol));
       return symbol;
     },
     /** @param {number} bits */
     uniform(bits) {
-      const size = TOTAL >> bits;
-      const value = Math.floor(slot() / size);
-      take(value * size, size);
+      const value = slot() >> (TOTAL_BITS - bits);
+      take(uniform(value, bits));
       return value;
     },
     finish() {
@@ -180,7 +168,8 @@ export function decodeFace(encode, payload) {
   const shorter = Math.min(MAX_LENGTH / length, 1);
   const values = new Float32Array(NUM_VALUES);
   values.set(shorter < 1 ? latent.map((value) => value * shorter) : latent);
-  values.set(coefficients.slice(NUM_ARKIT, NUM_DRIVEN).map((value) => value * POSE_UNIT), NUM_LATENT);
+  const pose = coefficients.slice(NUM_ARKIT, NUM_DRIVEN).map((value) => value * POSE_UNIT);
+  values.set(pose, NUM_LATENT);
   return { values, isStill };
 }
 
@@ -209,8 +198,10 @@ export function encodeFace(values) {
 
 /** @type {(value: number, place: number) => number} */
 function coefficientOf(value, place) {
-  if (place < NUM_ARKIT) return roundHalfEven(Math.min(Math.max(value, 0), MAX_SHAPE) / SHAPE_UNIT);
-  return roundHalfEven(clamp(value, place < NUM_ARKIT + 3 ? Math.PI : 1) / POSE_UNIT);
+  const isShape = place < NUM_ARKIT;
+  const limit = isShape ? MAX_SHAPE : place < NUM_ARKIT + 3 ? Math.PI : 1;
+  const limited = Math.min(Math.max(value, isShape ? 0 : -limit), limit);
+  return Math.round(limited / (isShape ? SHAPE_UNIT : POSE_UNIT));
 }
 
 /**
@@ -233,7 +224,7 @@ function quantised(value, step, place, before) {
 function bitsOf(place, ahead) {
   const length = bitLength(Math.abs(ahead));
   const uncoded = length ? length - 1 + (isSigned(place) ? 1 : 0) : 0;
-  return uncoded - Math.log2(LENGTH_TABLES[TABLES[place]].frequencies[length] / TOTAL);
+  return uncoded - Math.log2(rangeOf(LENGTH_TABLES[TABLES[place]], length)[1] / TOTAL);
 }
 
 /** @type {(place: number) => boolean} */
@@ -242,7 +233,7 @@ const isSigned = (place) => place >= NUM_ARKIT || FIRST[place] >= 0;
 const stepsOf = (quality) =>
   USUAL_STEPS.map((step) => Math.max(Math.floor((step * FINENESS[quality]) / 16), 1));
 
-/** @param {Range[]} ranges */
+/** @param {[number, number][]} ranges */
 function writeSymbols(ranges) {
   let [low, width, bits] = [0n, BigInt(FULL_RANGE), 48n];
   for (const [start, frequency] of ranges) {
@@ -263,17 +254,7 @@ function writeSymbols(ranges) {
   return payload;
 }
 
-/** @type {(table: Table, symbol: number) => Range} */
-const rangeOf = (table, symbol) => [table.starts[symbol], table.frequencies[symbol]];
-/** @type {(value: number, bits: number) => Range} */
+/** @type {(value: number, bits: number) => [number, number]} */
 const uniform = (value, bits) => [value * (TOTAL >> bits), TOTAL >> bits];
 /** @param {number} value */
 const bitLength = (value) => (value ? 32 - Math.clz32(value) : 0);
-/** @type {(value: number, limit: number) => number} */
-const clamp = (value, limit) => Math.min(Math.max(value, -limit), limit);
-
-/** @param {number} value */
-function roundHalfEven(value) {
-  const rounded = Math.round(value);
-  return Math.abs(value % 1) === 0.5 && rounded % 2 ? rounded - 1 : rounded;
-}

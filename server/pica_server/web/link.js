@@ -9,15 +9,6 @@ import {
   encodeMessage,
 } from "./wire.js";
 
-/** @import { Frame, Message, Peer, Track } from "./wire.js" */
-/** @typedef {{room: string, name: string, token: string, tracks: Track[]}} Join */
-/**
- * @typedef {object} Handler Where everything goes that a link hears.
- * @property {(message: Message) => void} message
- * @property {(frame: Frame) => void} frame
- * @property {(state: "joining" | "reconnecting" | "ended", reason: string) => void} left
- */
-
 const HANDSHAKE_S = 5;
 const [FIRST_WAIT_S, LONGEST_WAIT_S] = [0.25, 8];
 /** A connection that held for so long starts the waits again. */
@@ -53,7 +44,7 @@ export class Link {
   clocks = new Map();
 
   /** @param {string} url Of the relay, ws:// or wss://. @param {Join} join
-   * @param {Handler} handler */
+   * @param {LinkHandler} handler */
   constructor(url, join, handler) {
     this.url = url;
     this.join = join;

@@ -8,7 +8,6 @@
 
 import { SenderClock } from "./clock.js";
 
-/** @import { Sample } from "./latent_stream.js" */
 /** @typedef {Sample & {mediaS: number}} Placed */
 
 const [FLOOR_S, CEILING_S] = [0.004, 0.2];
@@ -108,8 +107,7 @@ export class Playout {
   offset = null;
   leftS = 0;
 
-  /** @param {{sequence: number, capturedUs: number}} frame @param {Sample} sample
-   * @param {number} now */
+  /** @type {(frame: {sequence: number, capturedUs: number}, sample: Sample, now: number) => void} */
   receive(frame, sample, now) {
     const mediaS = this.clock.place(frame, now);
     const placed = { ...sample, mediaS: mediaS ?? 0 };

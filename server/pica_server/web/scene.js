@@ -11,39 +11,20 @@ import { HOME, headRect, nearing, orbitLimits, planCamera, planSeats, SHOULDERS_
   USUAL_SPAN } from "./seats.js";
 import { clamp, column, headMatrix } from "./space.js";
 
-/** @import { Avatar } from "./avatar.js" */
-/** @import { Face, Member } from "./call.js" */
-/** @import { Placement, Renderer, View } from "./draw.js" */
-/** @import { Target } from "./gl.js" */
-/** @import { Layout, Orbit, SeatPlan } from "./seats.js" */
-/** @import { Matrix } from "./space.js" */
-/** @typedef {Member} Person */
-/**
- * @typedef {object} Wanted What the user wants to see.
- * @property {Layout} layout
- * @property {string} pinned The id of the one who fills the picture; empty for none.
- * @property {Orbit} orbit
- * @property {number} free The part of the height below that is kept free.
- * @property {Person | null} self Whom the small picture in the lower left corner shows.
- * @property {number} rise How far above the lower border that is, part of the height.
- * @property {boolean} isCalm Whether people take their seats at once.
- */
-/** @typedef {{person: Person, rect: number[] | null, hasFace: boolean}} Label A participant, and
- * left, top, right, bottom of where they may be, pixels. */
-/** @typedef {{placement: Placement, entry: Entry, person: Person}} Placed */
-
 const [MAX_PX, BUDGET_SHARE] = [3840 * 2160, 0.6];
 const [SOFTWARE_FPS, DISPLAY_FPS] = [30, 60];
 const FADE_OF_STATUS = { waiting: 0.6, live: 0, stale: 0.8, away: 0.4 };
 const [FADE_S, GLOW_STEPS, SETTLE_S] = [0.5, 4, 0.15];
 const SELF_SHARE = 0.2;
 
+/** @typedef {{entry: Shape, matrix: Matrix}} Seated */
+
 /** What is kept of a person from frame to frame. */
-class Entry {
+class Shape {
   /** @type {Avatar | null} */
   avatar = null;
-  /** @type {Head | null} */
-  head = null;
+  /** @type {{head: Head, look: Look} | null} */
+  ready = null;
   /** @type {Face | null} */
   face = null;
   shouldersM = SHOULDERS_M;
@@ -54,14 +35,19 @@ class Entry {
   turn = 0;
   /** @type {Matrix | null} */
   seat = null;
+
+  /** @param {Person} person */
+  constructor(person) {
+    this.person = person;
+  }
 }
 
 /** All that is on the GPU, and what is drawn of a call. */
 export class Scene {
   costs = new CostModel();
   scheduler = new Scheduler(this.costs);
-  isMeasured = false;
-  /** @type {Map<string, Entry>} */
+  numWhole = 0;
+  /** @type {Map<string, Shape>} */
   entries = new Map();
   /** @type {{plan: SeatPlan, aspect: number} | null} */
   settled = null;
@@ -79,57 +65,71 @@ export class Scene {
     const sinceS = now - this.drawnS;
     this.drawnS = now;
     this.refresh(wanted.self ? [...people, wanted.self] : people, now);
-    const entries = people.map(({ id }) => /** @type {Entry} */ (this.entries.get(id)));
-    const plan = this.seat(people, entries, wanted, width / height, sinceS);
+    const entries = people.map(({ id }) => /** @type {Shape} */ (this.entries.get(id)));
+    const plan = this.seat(entries, wanted, width / height, sinceS);
     const camera = planCamera(plan, wanted.orbit, width, height,
       orbitLimits(plan, entries.map(({ span }) => span)));
-    const placed = people.map((person, index) => this.place(person, plan.seats[index], sinceS));
-    /** @type {View[]} */
-    const views =
-      [{ camera, rect: [0, 0, width, height], slots: new Set(people.map(({ id }) => id)) }];
-    if (wanted.self) {
+    /** @type {Seated[]} */
+    const seated = entries.map((entry, index) => ({ entry, matrix: plan.seats[index] }));
+    /** @type {(View & {seated: Seated[]})[]} */
+    const views = [{ camera, rect: [0, 0, width, height], seated, placements: [] }];
+    const self = this.entries.get(wanted.self?.id ?? "");
+    if (self) {
       const side = Math.round(Math.min(width, height) * SELF_SHARE);
       const inset = Math.round(side / 10);
       const bottom = inset + Math.round(wanted.rise * height);
       const own = planSeats("grid", 1, 1);
-      placed.push(this.place(wanted.self, own.seats[0], sinceS));
       views.push({
         camera: planCamera(own, HOME, side, side, [0, 0, 0, 0]),
-        rect: [inset, bottom, inset + side, bottom + side], slots: new Set([wanted.self.id]),
+        rect: [inset, bottom, inset + side, bottom + side],
+        seated: [{ entry: self, matrix: own.seats[0] }], placements: [],
       });
     }
-    const { requests, shadedPx } = this.plan(placed, views, budgetS, now);
+    const heads = views.flatMap((view) => this.place(view, sinceS));
+    const { shadedPx } = this.scheduler.plan(heads.map(({ head }) => head), budgetS, now);
+    heads.sort((a, b) => b.head.sight.headPx - a.head.sight.headPx);
+    const requests = heads.flatMap(({ person, head, look, placement }) => {
+      person.want(head.choice?.every ?? 1);
+      placement.scale = head.choice?.scale ?? 1;
+      const request = head.request(now);
+      return request ? [{ look, ...request }] : [];
+    });
     this.renderer.decode(requests);
-    for (const { placement, entry: { head } } of placed) {
-      placement.scale = head?.choice?.scale ?? 1;
-    }
     const speaking = entries.map(({ glow }) => Math.ceil(GLOW_STEPS * glow) / GLOW_STEPS);
     const room = { places: plan.seats.map((seat) => column(seat, 3)), speaking };
-    const drawn = this.renderer.draw(placed.map(({ placement }) => placement), views, room, target);
+    const drawn = this.renderer.draw(views, room, target);
     const decodesS = requests.reduce((sum, { level, isBoth }) =>
       sum + this.costs.decodeS(level, isBoth ? "both" : "expression"), 0);
-    const labels = people.map((person, index) => {
-      const hasFace = Boolean(entries[index].head && entries[index].face);
-      return { person, rect: headRect(camera, plan.seats[index]), hasFace };
-    });
+    this.measure(requests);
+    const labels = entries.map(({ person, face, ready }, index) =>
+      ({ person, rect: headRect(camera, plan.seats[index]), hasFace: Boolean(ready && face) }));
     return { ...drawn, labels, decodesS, shadedPx };
+  }
+
+  /** Learn once what a decode costs, when the first head has been shown.
+   * @param {DecodeRequest[]} requests */
+  measure(requests) {
+    const whole = requests.find(({ isBoth }) => isBoth);
+    if (!whole || this.numWhole++ !== 1) return;
+    this.costs.observeDecode(this.renderer.measureDecode(whole), whole.level);
   }
 
   /** Take the faces of now; avatars are made ready, one a frame. @param {Person[]} people
    * @param {number} now */
   refresh(people, now) {
-    for (const id of this.entries.keys()) {
+    for (const [id, { ready }] of this.entries) {
       if (people.some((person) => person.id === id)) continue;
-      this.renderer.remove(id);
+      ready?.look.free();
       this.entries.delete(id);
     }
     let hasAdded = false;
     people.forEach((person, index) => {
-      const entry = this.entries.get(person.id) ?? new Entry();
+      const entry = this.entries.get(person.id) ?? new Shape(person);
       this.entries.set(person.id, entry);
+      entry.person = person;
       if (person.avatar && person.avatar !== entry.avatar && !hasAdded) {
         hasAdded = true;
-        this.dress(person.id, person.avatar, entry);
+        this.dress(entry, person.avatar);
       }
       const face = person.faceAt(now);
       // While not everybody can be drawn at every face, listeners keep theirs for a turn.
@@ -140,70 +140,58 @@ export class Scene {
     });
   }
 
-  /** Put a person's avatar on the GPU. @param {string} id @param {Avatar} avatar
-   * @param {Entry} entry */
-  dress(id, avatar, entry) {
-    Object.assign(entry, { avatar, head: null, problem: "" });
+  /** Put a person's avatar on the GPU. @param {Shape} entry @param {Avatar} avatar */
+  dress(entry, avatar) {
+    entry.ready?.look.free();
+    Object.assign(entry, { avatar, ready: null, problem: "" });
     try {
-      this.renderer.add(id, avatar);
-      if (!this.isMeasured) this.costs.observeDecode(this.renderer.measureDecode(id));
-      this.isMeasured = true;
-      entry.head =
-        new Head(id, avatar.manifest, LEVELS.map((level) => avatar.faces(level).length / 3));
+      const look = this.renderer.open(avatar);
+      const numTriangles = LEVELS.map((level) => avatar.faces(level).length / 3);
+      entry.ready = { look, head: new Head(avatar.manifest, numTriangles) };
       entry.shouldersM = avatar.bust().widthM;
       entry.span = avatar.manifest.view_span;
     } catch (error) {
       entry.problem = error instanceof Error ? error.message : String(error);
-      this.renderer.remove(id);
     }
   }
 
   /** Seats on their way to where people should be; at once on a picture of another size.
-   * @param {Person[]} people @param {Entry[]} entries @param {Wanted} wanted
-   * @param {number} aspect @param {number} sinceS */
-  seat(people, entries, { layout, pinned, free, isCalm }, aspect, sinceS) {
+   * @type {(entries: Shape[], wanted: Wanted, aspect: number, sinceS: number) => SeatPlan} */
+  seat(entries, { layout, pinned, free, isCalm }, aspect, sinceS) {
     const shouldersM = entries.length ? Math.max(...entries.map((entry) => entry.shouldersM))
       : SHOULDERS_M;
-    let plan = planSeats(layout, people.length, aspect, free,
-      people.findIndex(({ id }) => id === pinned), shouldersM);
+    const place = entries.findIndex(({ person }) => person.id === pinned);
+    let plan = planSeats(layout, entries.length, aspect, free, place, shouldersM);
     if (this.settled?.aspect === aspect && entries.some(({ seat }) => seat)) {
       const seats = plan.seats.map((seat, index) => entries[index].seat ?? seat);
-      plan = nearing({ ...this.settled.plan, seats }, plan, isCalm ? 1
-        : 1 - Math.exp(-sinceS / SETTLE_S));
+      plan = nearing({ ...this.settled.plan, seats }, plan,
+        isCalm ? 1 : 1 - Math.exp(-sinceS / SETTLE_S));
     }
     this.settled = { plan, aspect };
     entries.forEach((entry, index) => (entry.seat = plan.seats[index]));
     return plan;
   }
 
-  /** @param {Person} person @param {Matrix} seat @param {number} sinceS @returns {Placed} */
-  place(person, seat, sinceS) {
-    const entry = /** @type {Entry} */ (this.entries.get(person.id));
-    const { face } = entry;
+  /** Give a view its placements; the heads that can be drawn.
+   * @param {View & {seated: Seated[]}} view @param {number} sinceS */
+  place({ camera, seated, placements }, sinceS) {
     const step = sinceS / FADE_S;
-    entry.fade += clamp(FADE_OF_STATUS[face?.status ?? "waiting"] - entry.fade, -step, step);
-    entry.glow += clamp((person.isSpeaking ? 1 : 0) - entry.glow, -step, step);
-    const matrix = headMatrix(seat, face?.values.subarray(256) ?? [0, 0, 0, 0, 0, 0]);
-    return { person, entry, placement: { slot: person.id, matrix, fade: entry.fade, scale: 1 } };
-  }
-
-  /** What is decoded now; streams are told what is wanted of them. @param {Placed[]} placed
-   * @param {View[]} views @param {number} budgetS @param {number} now */
-  plan(placed, views, budgetS, now) {
-    const ready = placed.filter(({ entry: { head, face } }) => head && face);
-    const heads = ready.map(({ placement, entry, person }) => {
-      const { head, face } = /** @type {{head: Head, face: Face}} */ (entry);
+    const heads = seated.flatMap(({ entry, matrix: seat }) => {
+      const { face, person, ready } = entry;
+      entry.fade += clamp(FADE_OF_STATUS[face?.status ?? "waiting"] - entry.fade, -step, step);
+      entry.glow += clamp((person.isSpeaking ? 1 : 0) - entry.glow, -step, step);
+      if (!ready) return [];
+      const { head, look } = ready;
+      const matrix = headMatrix(seat, face?.values.subarray(256) ?? [0, 0, 0, 0, 0, 0]);
+      const placement = { look, matrix, fade: entry.fade, scale: 1 };
+      placements.push(placement);
+      if (!face) return [];
       [head.matrix, head.latent, head.isListening] =
-        [placement.matrix, face.values.subarray(0, 256), !person.isSpeaking];
-      return head;
+        [matrix, face.values.subarray(0, 256), !person.isSpeaking];
+      return [{ person, head, look, placement }];
     });
-    for (const { camera, slots } of views) {
-      seeHeads(heads.filter(({ slot }) => slots.has(slot)), camera);
-    }
-    const { shadedPx } = this.scheduler.plan(heads, budgetS, now);
-    ready.forEach(({ person }, index) => person.want(heads[index].choice?.every ?? 1));
-    heads.sort((a, b) => b.sight.headPx - a.sight.headPx);
-    return { requests: heads.flatMap((head) => head.request(now) ?? []), shadedPx };
+    seeHeads(heads.map(({ head }) => head), camera);
+    return heads;
   }
 }
 
@@ -214,8 +202,8 @@ export class Picture {
   fence = null;
 
   /**
-   * @param {HTMLCanvasElement} canvas @param {Record<string, string>} texts Of the shaders. @param
-   * {boolean} isTile Without a room.
+   * @param {HTMLCanvasElement} canvas @param {Record<string, string>} texts Of the shaders.
+   * @param {boolean} isTile Without a room.
    * @throws {DrawError} This browser cannot draw.
    */
   constructor(canvas, texts, isTile) {
@@ -290,12 +278,12 @@ export class Picture {
   /** Make the canvas as large as it is shown; pixels of it for one of the page. */
   resize() {
     const { canvas, canvas: { clientWidth, clientHeight } } = this;
-    const ratio = Math.min(window.devicePixelRatio
-      || 1, Math.sqrt(MAX_PX / Math.max(clientWidth * clientHeight, 1)));
+    const ratio = Math.min(window.devicePixelRatio || 1,
+      Math.sqrt(MAX_PX / Math.max(clientWidth * clientHeight, 1)));
     const [width, height] =
       [clientWidth, clientHeight].map((side) => Math.max(Math.round(side * ratio), 1));
-    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] =
-      [width, height];
+    const isOther = canvas.width !== width || canvas.height !== height;
+    if (isOther) Object.assign(canvas, { width, height });
     return ratio;
   }
 }

@@ -5,17 +5,7 @@
  */
 
 import { LEVELS, MAP_SIZE } from "./avatar.js";
-import { clamp, clipFromWorld, multiply, NEAR_M, viewDirection } from "./space.js";
-
-/** @import { Avatar, Manifest } from "./avatar.js" */
-/** @import { Camera, Matrix, Vector } from "./space.js" */
-/** @typedef {"none" | "expression" | "both"} Decode */
-/** @typedef {{visiblePx: number, headPx: number}} Sight Pixels that nearer heads do not hide; the
- * head's height. */
-/** @typedef {{level: number, decode: Decode, scale: number, every: number}} Choice */
-/** @typedef {{latent: Float32Array, view: Vector, level: number}} Asked */
-/** @typedef {{draw: number[], decodeS: (level: number, decode: Decode) => number}} Costs Seconds of
- * a frame, of a triangle and of a pixel; of a decode. */
+import { clamp, clipFromWorld, dot, multiply, NEAR_M, viewDirection } from "./space.js";
 
 const DETAIL_PX = [80, 900];
 const SHARE_PX = [12, 32];
@@ -38,6 +28,7 @@ const DISC = Array.from({ length: NUM_POINTS }, (_, index) => {
     [Math.sqrt((index + 0.5) / NUM_POINTS), index * Math.PI * (3 - Math.sqrt(5))];
   return [radius * Math.cos(turn), radius * Math.sin(turn)];
 });
+const LONG_AGO_S = -1e9;
 /** @type {Sight} */
 const NOTHING = { visiblePx: 0, headPx: 0 };
 
@@ -58,14 +49,15 @@ export class Head {
   seenS = null;
   /** @type {Choice | null} */
   choice = null;
-  /** The decode that was asked for last. @type {Asked | null} */
+  /** The decode that was asked for last, and when one of both maps was.
+   * @type {{latent: Float32Array, view: Vector, level: number} | null} */
   asked = null;
-  askedS = -Infinity;
-  latentAskedS = -Infinity;
+  askedS = LONG_AGO_S;
+  latentAskedS = LONG_AGO_S;
 
-  /** @param {string} slot @param {Manifest} box @param {number[]} numTriangles Of each level. */
-  constructor(slot, box, numTriangles) {
-    this.slot = slot;
+  /** @param {Pick<Manifest, "bounds_min_m" | "bounds_max_m">} box
+   * @param {number[]} numTriangles Of each level. */
+  constructor(box, numTriangles) {
     this.box = box;
     this.numTriangles = numTriangles;
   }
@@ -80,7 +72,7 @@ export class Head {
     if (isBoth) this.latentAskedS = now;
     this.asked = { latent, view, level: choice.level };
     this.askedS = now;
-    return { slot: this.slot, latent, view, level: choice.level, isBoth };
+    return { ...this.asked, isBoth };
   }
 }
 
@@ -91,17 +83,17 @@ export function seeHeads(heads, camera) {
   heads.forEach((head, index) => {
     head.sight = sights[index];
     head.viewDirection = viewDirection(head.matrix, camera.centre);
-    const { asked, latent, viewDirection: [x, y, z] } = head;
+    const { asked, latent } = head;
     const change = asked
       ? latent.reduce((sum, value, at) => sum + (value - asked.latent[at]) ** 2, 0) : 0;
     head.latentChange = Math.sqrt(change / latent.length);
-    const cosine = asked ? x * asked.view[0] + y * asked.view[1] + z * asked.view[2] : 1;
+    const cosine = asked ? dot(head.viewDirection, asked.view) : 1;
     head.viewTurnRad = Math.acos(clamp(cosine, -1, 1));
   });
 }
 
 /** What can be seen of each head through a camera; see `schedule/visibility.py`.
- * @param {Head[]} heads @param {Camera} camera @returns {Sight[]} */
+ * @type {(heads: Head[], camera: Camera) => Sight[]} */
 function look(heads, camera) {
   const { width, height } = camera;
   const projection = clipFromWorld(camera);
@@ -125,7 +117,7 @@ function look(heads, camera) {
 }
 
 /** The ellipse that the ellipsoid within a box is on the screen: its middle, and the image of the
- * unit disc, lower triangular. @param {Matrix} matrix To clip space. @param {Manifest} box */
+ * unit disc, lower triangular. @param {Matrix} matrix To clip space. @param {Head["box"]} box */
 function ellipseOf(matrix, { bounds_min_m: low, bounds_max_m: high }) {
   // The ellipsoid is the image of the unit ball; rows x, y and w see its centre and its axes.
   const isSound = matrix.every(Number.isFinite);
@@ -155,12 +147,12 @@ export class CostModel {
   /** @type {number[]} */
   _drawRatios = [];
 
-  /** @param {number} seconds That decoding both maps at the full level takes. */
-  observeDecode(seconds) {
-    this.decodeSlowness = seconds / EXPECTED_DECODE_S.both[MAP_SIZE];
+  /** @param {number} seconds That decoding both maps at a level takes. @param {number} level */
+  observeDecode(seconds, level) {
+    this.decodeSlowness = seconds / EXPECTED_DECODE_S.both[level];
   }
 
-  /** @param {number} level @param {Decode} decode */
+  /** @type {Costs["decodeS"]} */
   decodeS(level, decode) {
     return this.decodeSlowness * EXPECTED_DECODE_S[decode][level];
   }
@@ -196,14 +188,14 @@ export class Scheduler {
     // What a head has counts as height: two who sway side by side must not change places.
     const heights = new Map(seen.map((head) =>
       [head, head.sight.headPx * STEP ** Math.max(LEVELS.indexOf(head.choice?.level ?? 0), 0)]));
-    seen.sort((a, b) => (heights.get(a) ?? 0) - (heights.get(b) ?? 0) || compare(a.slot, b.slot));
+    seen.sort((a, b) => (heights.get(a) ?? 0) - (heights.get(b) ?? 0));
     const shrinks = this._fit(seen, budgetS);
     let spentS = this._drawS(seen, shrinks);
     let [hasDecoded, shadedPx] = [false, 0];
     const areFew = 2 * seen.filter(({ isListening }) => !isListening).length <= seen.length;
     const turns = seen.map((head, index) => ({ head, shrink: shrinks[index] }));
-    turns.sort((a, b) => compare(a.head.askedS, b.head.askedS)
-      || b.head.sight.headPx - a.head.sight.headPx || compare(a.head.slot, b.head.slot));
+    turns.sort((a, b) => a.head.askedS - b.head.askedS
+      || b.head.sight.headPx - a.head.sight.headPx);
     for (const { head, shrink } of turns) {
       head.seenS = now;
       const scale = scaleOf(head, shrink);
@@ -234,8 +226,8 @@ export class Scheduler {
     return { costS: spentS, shadedPx };
   }
 
-  /** How many times smaller each head must count, the lowest first. @param {Head[]} seen
-   * @param {number} budgetS */
+  /** How many times smaller each head must count, the lowest first.
+   * @type {(seen: Head[], budgetS: number) => number[]} */
   _fit(seen, budgetS) {
     /** @param {number} turns */
     const costS = (turns) => {
@@ -265,8 +257,8 @@ export class Scheduler {
     return every === 1 && this.isShort && isListening ? 2 : every;
   }
 
-  /** Seconds an image, on average, that drawing takes. @param {Head[]} seen
-   * @param {number[]} shrinks */
+  /** Seconds an image, on average, that drawing takes.
+   * @type {(seen: Head[], shrinks: number[]) => number} */
   _drawS(seen, shrinks) {
     const [frameS, triangleS, pixelS] = this.costs.draw;
     return seen.reduce((sum, head, index) => {
@@ -277,7 +269,7 @@ export class Scheduler {
   }
 }
 
-/** Which of the levels a head gets. @param {Head} head @param {number} shrink */
+/** Which of the levels a head gets. @type {(head: Head, shrink: number) => number} */
 function placeOf({ asked, sight }, shrink) {
   const held = asked ? LEVELS.indexOf(asked.level) : 0;
   const height = sight.headPx / shrink;
@@ -285,8 +277,8 @@ function placeOf({ asked, sight }, shrink) {
     height >= least * (number < held ? KEEP_RATIO : 1)).length;
 }
 
-/** The share of the resolution that a head is drawn with. @param {Head} head
- * @param {number} shrink */
+/** The share of the resolution that a head is drawn with.
+ * @type {(head: Head, shrink: number) => number} */
 function scaleOf({ choice, sight }, shrink) {
   const height = Math.max(sight.headPx, 1e-3);
   const excess = Math.max((shrink * Math.min(height, DETAIL_PX[0])) / height, 1);
@@ -294,8 +286,7 @@ function scaleOf({ choice, sight }, shrink) {
     ?? 1;
 }
 
-/** What to decode at a level. @param {Head} head @param {number} level @param {number} now
- * @returns {Decode} */
+/** What to decode at a level. @type {(head: Head, level: number, now: number) => Decode} */
 function wanted(head, level, now) {
   // Turning asks for expression maps again and again: they do not make the latent newer.
   const isOld = now - head.latentAskedS >= MAX_AGE_S / 2;
@@ -304,9 +295,6 @@ function wanted(head, level, now) {
 }
 
 /** How many times smaller heads count after so many turns, the lowest first.
- * @param {number} count @param {number} turns */
-const shrinksOf = (count, turns) =>
-  Array.from({ length: count },
+ * @type {(count: number, turns: number) => number[]} */
+const shrinksOf = (count, turns) => Array.from({ length: count },
     (_, rank) => STEP ** Math.floor((turns + count - 1 - rank) / count));
-/** @template {string | number} T @param {T} a @param {T} b */
-const compare = (a, b) => (a < b ? -1 : a > b ? 1 : 0);

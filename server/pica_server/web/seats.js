@@ -6,16 +6,6 @@
 import { along, clamp, column, cross, dot, frame, length, lookAt, minus, project,
   unit } from "./space.js";
 
-/** @import { Camera, Matrix, Vector } from "./space.js" */
-/** @typedef {"line" | "table" | "grid"} Layout */
-/** @typedef {{camera: Vector, target: Vector}} Seen */
-/** @typedef {Seen & {seats: Matrix[]}} SeatPlan */
-/** @typedef {{yaw: number, pitch: number, zoom: number}} Orbit Radians about the middle of the
- * seats. */
-/** @typedef {{left: number, right: number, bottom: number, top: number}} Frame Tangents, y up. */
-/** @typedef {{places: Vector[], pitch?: number, faced?: Vector}} Arrangement */
-/** @typedef {(count: number, view: Frame, spacing: number) => Arrangement} Arrange */
-
 /** @type {Layout[]} */
 export const LAYOUTS = ["line", "table", "grid"];
 export const SHOULDERS_M = 0.36;
@@ -39,13 +29,10 @@ const [KEPT_DEGREES, MAX_YAW, MAX_PITCH] = [4, 70, 50];
 const [NEAREST_M, MIN_ZOOM, MAX_ZOOM] = [0.3, 0.4, 12];
 
 /**
- * Seats for people, and the camera that shows them with their names.
- * @param {Layout} layout @param {number} count @param {number} aspect Columns divided by rows.
- * @param {number} bottom The part of the picture below that is kept free.
- * @param {number} pinned The index of the one who fills the picture; -1 for none.
- * @param {number} shouldersM Width of the broadest shoulders.
- * @returns {SeatPlan}
- */
+ * Seats for people, and the camera that shows them with their names: on a picture so many times as
+ * wide as high, whose part below (`bottom`) is kept free; `pinned`, unless it is -1, fills it.
+ * @type {(layout: Layout, count: number, aspect: number, bottom?: number, pinned?: number,
+ * shouldersM?: number) => SeatPlan} */
 export function planSeats(layout, count, aspect, bottom = 0, pinned = -1,
   shouldersM = SHOULDERS_M) {
   const [across, top] = [TANGENT * aspect * FRAME_FILL_ACROSS, TANGENT * FRAME_FILL];
@@ -86,8 +73,7 @@ export function nearing(plan, goal, share) {
   /** @type {(from: Vector, to: Vector) => Vector} */
   const towards = (from, to) => along(from, share, minus(to, from));
   const [camera, target, ...moved] = start.map((place, index) => towards(place, end[index]));
-  const seats = moved.map((place, index) =>
-    seatAt(place,
+  const seats = moved.map((place, index) => seatAt(place,
       along(place, 1, towards(column(plan.seats[index], 2), column(goal.seats[index], 2)))));
   return { seats, camera, target };
 }
@@ -144,7 +130,7 @@ function gridOf(count, view, spacing) {
 }
 
 /** One in front, the others in a strip at the right or below. @type {(count: number, pinned:
- * number, aspect: number, view: Frame, shoulders: number) => SeatPlan} */
+ * number, aspect: number, view: Tangents, shoulders: number) => SeatPlan} */
 function planPinned(count, pinned, aspect, view, shoulders) {
   const isWide = aspect >= STRIP_BESIDE;
   const lines = Math.ceil((count - 1) / STRIP_PER_LINE);
@@ -174,27 +160,21 @@ function planPinned(count, pinned, aspect, view, shoulders) {
   return { seats, ...seen };
 }
 
-/**
- * The nearest camera that has all heads within a frame, and what it looks at; with the eyes as near
+/** The nearest camera that has all heads within a frame, and what it looks at; with the eyes as near
  * to a height of the picture as may be, else all in its middle.
- * @type {(arrangement: Arrangement, view: Frame, halfWidth: number, below?: number, eyes?: number)
- * => Seen}
- */
+ * @type {(arrangement: Arrangement, view: Tangents, halfWidth: number, below?: number, eyes?:
+ * number) => Seen} */
 function framing({ places, pitch = 0 }, view, halfWidth, below = HEAD_HALF_HEIGHT_M, eyes) {
   const [sine, cosine] = [Math.sin(pitch), Math.cos(pitch)];
   const turned = places.map(([x, y, z]) => [x, cosine * y - sine * z, sine * y + cosine * z]);
-  /** @type {(axis: number, before: number, after: number, low: number, high: number) => {most:
-   * number, least: number, low: number, high: number}} */
-  const bound = (axis, before, after, low, high) => ({
+  const bounds = [
+    [halfWidth, halfWidth, view.left, view.right],
+    [below, HEAD_HALF_HEIGHT_M, view.bottom, view.top],
+  ].map(([before, after, low, high], axis) => ({
     most: Math.max(...turned.map((at) => at[axis] + after + high * at[2])),
     least: Math.min(...turned.map((at) => at[axis] - before + low * at[2])),
-    low,
-    high,
-  });
-  const bounds = [
-    bound(0, halfWidth, halfWidth, view.left, view.right),
-    bound(1, below, HEAD_HALF_HEIGHT_M, view.bottom, view.top),
-  ];
+    low, high,
+  }));
   const distance = Math.max(
     ...bounds.map(({ most, least, low, high }) => (most - least) / (high - low)),
     Math.max(...turned.map((at) => at[2])) + HEAD_HALF_WIDTH_M * 2,
@@ -223,11 +203,9 @@ const centred = (count) => Array.from({ length: count }, (_, index) => index - (
 const away = ({ camera, target }) => length(minus(camera, target));
 const DEGREE = Math.PI / 180;
 
-/**
- * How far the view may turn before a participant is seen from where their avatar was not trained:
+/** How far the view may turn before a participant is seen from where their avatar was not trained:
  * least and most yaw, least and most pitch, radians.
- * @param {SeatPlan} plan @param {number[][]} spans The same of each seat, in degrees.
- */
+ * @param {SeatPlan} plan @param {number[][]} spans The same of each seat, in degrees. */
 export function orbitLimits(plan, spans) {
   const limits = [-MAX_YAW, MAX_YAW, -MAX_PITCH, MAX_PITCH];
   plan.seats.forEach((seat, index) => {
@@ -267,7 +245,7 @@ export function planCamera(plan, orbit, width, height, limits) {
 }
 
 /** The part of the picture that a head may cover: left, top, right, bottom in pixels; null if it is
- * not before the camera. @param {Camera} camera @param {Matrix} head */
+ * not before the camera. @type {(camera: Camera, head: Matrix) => number[] | null} */
 export function headRect(camera, head) {
   const [right, up] = camera.axes;
   const reach = along(along([0, 0, 0], HEAD_HALF_WIDTH_M, right), -HEAD_HALF_HEIGHT_M, up);

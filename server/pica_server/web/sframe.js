@@ -5,13 +5,6 @@
 
 import { encodeHeader } from "./wire.js";
 
-/** @import { Frame, Message, Peer, Track } from "./wire.js" */
-/** @typedef {Uint8Array<ArrayBuffer>} Bytes */
-/** @typedef {{id: number, cipher: CryptoKey, salt: Bytes}} FrameKey */
-/** @typedef {"waiting" | "verified" | "plain" | "secret differs" | "relabelled"} SealState */
-/** @typedef {"encrypt" | "decrypt"} Use */
-/** @typedef {[sender: string, receiver: string]} Way */
-
 const { subtle } = crypto;
 const FACE_BYTES = 48;
 const WINDOW = 1024;
@@ -38,11 +31,8 @@ const joined = (...parts) =>
 const equal = (one, other) => one.length === other.length
   && one.every((byte, i) => byte === other[i]);
 
-/** @param {Uint8Array} one @param {Uint8Array} other */
-function compare(one, other) {
-  const at = one.findIndex((byte, i) => byte !== other[i]);
-  return at < 0 ? 0 : one[at] - other[at];
-}
+/** @type {(one: Uint8Array, other: Uint8Array) => number} */
+const compare = (one, other) => one.reduce((order, byte, i) => order || byte - other[i], 0);
 
 /** @type {(secret: Bytes, salt: Bytes, info: Bytes, size: number) => Promise<Bytes>} */
 async function hkdf(secret, salt, info, size) {
@@ -51,11 +41,11 @@ async function hkdf(secret, salt, info, size) {
     await subtle.deriveBits({ name: "HKDF", hash: "SHA-256", salt, info }, key, 8 * size));
 }
 
-/** @param {Bytes} key @param {Use} use */
+/** @param {Bytes} key @param {"encrypt" | "decrypt"} use */
 const aes = (key, use) => subtle.importKey("raw", key, "AES-GCM", false, [use]);
 
-/** Decrypt, or say why it cannot be. @param {AesGcmParams} how @param {CryptoKey} key
- * @param {Bytes} data @param {string} problem */
+/** Decrypt, or say why it cannot be.
+ * @type {(how: AesGcmParams, key: CryptoKey, data: Bytes, problem: string) => Promise<Bytes>} */
 async function decrypted(how, key, data, problem) {
   try {
     return new Uint8Array(await subtle.decrypt(how, key, data));
@@ -66,7 +56,7 @@ async function decrypted(how, key, data, problem) {
 
 // One payload
 
-/** @param {Bytes} baseKey @param {number} id @param {Use} use @returns {Promise<FrameKey>} */
+/** @type {(baseKey: Bytes, id: number, use: "encrypt" | "decrypt") => Promise<FrameKey>} */
 export async function deriveKey(baseKey, id, use) {
   const suffix = [0, 0, 0, 0, 0, 0, 0, id, 0, 4];
   const key = await hkdf(baseKey, NOTHING, joined("SFrame 1.0 Secret key ", suffix), 16);
@@ -184,8 +174,6 @@ class PeerKeys {
 export class Guard {
   /** @type {Map<string, PeerKeys>} */
   peers = new Map();
-  /** @type {Map<number, {owner: string, isFace: boolean}>} */
-  streams = new Map();
   room = "";
   name = "";
   ownId = "";
@@ -240,9 +228,7 @@ export class Guard {
   /** @param {Message} joined_ @param {number} now */
   async enter({ peer_id: id, tracks, peers }, now) {
     this.peers.clear();
-    this.streams.clear();
     this.ownId = id;
-    this.noteStreams(id, tracks);
     this.description = await describe(this.room, this.name, tracks);
     const pair =
       /** @type {CryptoKeyPair} */ (await subtle.generateKey("X25519", true, ["deriveBits"]));
@@ -252,19 +238,11 @@ export class Guard {
     for (const peer of peers) await this.add(peer, now);
   }
 
-  /** @param {string} owner @param {Track[]} tracks */
-  noteStreams(owner, tracks) {
-    for (const { stream, kind } of tracks) {
-      this.streams.set(stream, { owner, isFace: kind === "face" });
-    }
-  }
-
   /** @param {Peer} peer @param {number} now */
   async add(peer, now) {
     await this.remove(peer.peer_id, now);
     const added = new PeerKeys(peer, await describe(this.room, peer.name, peer.tracks), now);
     this.peers.set(peer.peer_id, added);
-    this.noteStreams(peer.peer_id, peer.tracks);
     return added;
   }
 
@@ -371,8 +349,8 @@ export class Guard {
     else if (this.isDone(peer) && peer.dueS > now) peer.dueS = Infinity;
   }
 
-  /** Learn a public key: from now on the peer can be given ours. @param {PeerKeys} peer
-   * @param {Bytes} publicKey @param {number} now */
+  /** Learn a public key: from now on the peer can be given ours.
+   * @type {(peer: PeerKeys, publicKey: Bytes, now: number) => Promise<void>} */
   async meet(peer, publicKey, now) {
     const known = [this.publicKey, ...Array.from(this.peers.values(), (each) => each.publicKey)];
     if (known.some((each) => equal(each, publicKey))) {
@@ -381,9 +359,8 @@ export class Guard {
     const theirs = await subtle.importKey("raw", publicKey, "X25519", false, []);
     const ours = /** @type {CryptoKey} */ (this.privateKey);
     const shared = await subtle.deriveBits({ name: "X25519", public: theirs }, ours, 256)
-      .catch(() => {
-      throw new SealError("a public key that agrees on nothing");
-    });
+      .catch(() => NOTHING);
+    if (!shared.byteLength) throw new SealError("a public key that agrees on nothing");
     const keys = [this.publicKey, publicKey].sort(compare);
     peer.pairKey =
       await hkdf(new Uint8Array(shared), this.pairSalt, joined("pica seal wrap ", ...keys), 32);
@@ -391,8 +368,8 @@ export class Guard {
     if (this.counter && now - this.madeS >= YOUNG_KEY_S) await this.changeKey(now);
   }
 
-  /** @param {PeerKeys} peer @param {Way} way @param {Bytes} data @param {number} generation
-   * @param {number} first @param {number} now */
+  /** @type {(peer: PeerKeys, way: Way, data: Bytes, generation: number, first: number, now: number)
+   * => Promise<void>} */
   async takeKey(peer, way, data, generation, first, now) {
     const cipher = await aes(await mac(peer.pairKey, way, data.subarray(0, BODY_BYTES)), "decrypt");
     const wrapped = data.slice(BODY_BYTES, -CODE_BYTES);
@@ -418,26 +395,24 @@ export class Guard {
     this.codeOf = String(text);
     const key = await subtle.importKey("raw", text, "PBKDF2", false, ["deriveBits"]);
     const salt = joined("pica seal code ", this.room);
-    const digest = new Uint8Array(
-      await subtle.deriveBits(
-        { name: "PBKDF2", hash: "SHA-512", salt, iterations: CODE_ROUNDS }, key, 240));
+    const how = { name: "PBKDF2", hash: "SHA-512", salt, iterations: CODE_ROUNDS };
+    const digest = new Uint8Array(await subtle.deriveBits(how, key, 240));
     const groups = [0, 5, 10, 15, 20, 25].map((at) =>
       digest.subarray(at, at + 5).reduce((all, byte) => all * 256 + byte, 0) % 100_000);
     this.code = given.length ? groups.map((group) => String(group).padStart(5, "0")).join(" ") : "";
   }
 
-  /** Seal a frame of ours. @param {Frame} frame @param {number} now @returns {Promise<Frame>} */
-  async seal(frame, now) {
+  /** Seal a frame of ours.
+   * @type {(frame: Frame, isFace: boolean, now: number) => Promise<Frame>} */
+  async seal(frame, isFace, now) {
     if (this.counter >= FRAMES_PER_KEY) await this.changeKey(now);
     if (this.key === null) throw new SealError("there is no key to seal with: not in a room");
-    const isFace = this.streams.get(frame.stream)?.isFace ?? false;
     return { ...frame, payload: await seal(frame, this.key, this.counter++, isFace) };
   }
 
-  /** The frame in plain; null: it does not open, and no plain one is taken. @param {Frame} frame
-   * @param {number} now @returns {Promise<Frame | null>} */
-  async open(frame, now) {
-    const { owner, isFace } = this.streams.get(frame.stream) ?? { owner: "", isFace: false };
+  /** A member's frame in plain; null: it does not open, and no plain one is taken.
+   * @type {(frame: Frame, owner: string, isFace: boolean, now: number) => Promise<Frame | null>} */
+  async open(frame, owner, isFace, now) {
     try {
       const { keyId, counter } = decodeSealHeader(frame.payload);
       const known = this.peers.get(owner)?.keys.get(keyId);

@@ -5,8 +5,6 @@
 
 import { SINE_LAYERS } from "./avatar.js";
 
-/** @import { Avatar } from "./avatar.js" */
-
 export const AXIS_ROW = 1024;
 /** sin(2 pi s) over a quarter turn either way as an odd polynomial of s. */
 const SINE = [6.283164044063381, -41.33714233439381, 81.34076751798747, -70.99341896675098];
@@ -14,30 +12,22 @@ const SINE = [6.283164044063381, -41.33714233439381, 81.34076751798747, -70.9934
 /** Texels of four that so many channels fill. @param {number} channels */
 export const vectors = (channels) => Math.ceil(channels / 4);
 
-/** One array of all. @param {Float32Array[]} parts */
-export function joined(parts) {
-  const found = new Float32Array(parts.reduce((sum, part) => sum + part.length, 0));
-  let at = 0;
-  for (const part of parts) {
-    found.set(part, at);
-    at += part.length;
-  }
+/** Numbers at other places of a larger array, zeros between.
+ * @param {Float32Array} numbers @param {number} size @param {(at: number) => number} placeOf */
+export function scattered(numbers, size, placeOf) {
+  const found = new Float32Array(size);
+  numbers.forEach((value, at) => (found[placeOf(at)] = value));
   return found;
 }
 
-/**
- * A matrix `[out, in]` as `[out / 4, in / 4, 4 inputs, 4 outputs]`, padded with zeros; or values of
- * each texel `[out, texels]` as `[out / 4, texels, 4 outputs]`.
- * @param {Float32Array} matrix @param {number} outs @param {number} ins
- */
-export function blocks(matrix, outs, ins, texels = 0) {
-  const [columns, across] = texels ? [texels, texels / 4] : [ins, vectors(ins)];
-  const found = new Float32Array(vectors(outs) * across * 16);
-  matrix.forEach((value, at) => {
-    const [out, from] = [Math.floor(at / columns), at % columns];
-    found[16 * ((out >> 2) * across + (from >> 2)) + 4 * (from & 3) + (out & 3)] = value;
+/** A matrix `[out, in]` as `[out / 4, in / 4, 4 inputs, 4 outputs]`, padded with zeros.
+ * @param {Float32Array} matrix @param {number} outs @param {number} ins */
+export function blocks(matrix, outs, ins) {
+  const across = vectors(ins);
+  return scattered(matrix, vectors(outs) * across * 16, (at) => {
+    const [out, from] = [Math.floor(at / ins), at % ins];
+    return 16 * ((out >> 2) * across + (from >> 2)) + 4 * (from & 3) + (out & 3);
   });
-  return found;
 }
 
 /** Levels of a table: each has half the entries of the one before. @param {number} count */
@@ -61,30 +51,24 @@ export function pixelDefines(avatar) {
 /** Both sine networks. Their numbers are in turns, a quarter ahead, for machines without a circuit
  * for sines. @param {Avatar} avatar */
 export function sirenSource(avatar) {
+  const [a, b, c, d] = SINE.map((value) => value.toExponential(8));
   /** @type {(type: string, values: ArrayLike<number>) => string} */
   const constant = (type, values) =>
     `${type}(${Array.from(values, (value) => value.toExponential(8)).join(", ")})`;
-  const [a, b, c, d] = SINE.map((value) => value.toExponential(8));
-  const lines = [
-    "vec4 sine_of_turns(vec4 turns) {",
-    "    vec4 s = 0.25 - abs(fract(turns) - 0.5);",
-    "    vec4 q = s * s;",
-    `    return s * (${a} + q * (${b} + q * (${c} + q * ${d})));`,
-    "}",
-  ];
   /** @type {(head: string, inputs: string[], layers: typeof SINE_LAYERS, result: string) =>
-   * void} */
+   * string[]} */
   const network = (head, inputs, layers, result) => {
-    lines.push(`${head} {`);
+    const lines = [`${head} {`];
     let values = inputs;
     for (const [name, ins, outs] of layers) {
-      const isLast = name === SINE_LAYERS[SINE_LAYERS.length - 1][0];
+      const isLast = name === "pixel.3";
       const turn = isLast ? 1 : 2 * Math.PI;
-      const weight =
-        blocks(avatar.floats(`${name}.weight`, outs * ins).map((value) => value / turn), outs, ins);
+      /** @param {string} part @param {number} size */
+      const inTurns = (part, size) => avatar.floats(`${name}.${part}`, size)
+        .map((value) => value / turn);
+      const weight = blocks(inTurns("weight", outs * ins), outs, ins);
       const bias = new Float32Array(4 * vectors(outs));
-      bias.set(avatar.floats(`${name}.bias`, outs)
-        .map((value) => value / turn + (isLast ? 0 : 0.25)));
+      bias.set(inTurns("bias", outs).map((value) => value + (isLast ? 0 : 0.25)));
       values = Array.from({ length: vectors(outs) }, (_, row) => {
         const terms = values.map((value, column) => {
           const at = 16 * (row * values.length + column);
@@ -96,10 +80,16 @@ export function sirenSource(avatar) {
         return output;
       });
     }
-    lines.push(`    return ${values[0]}${result};`, "}");
+    return [...lines, `    return ${values[0]}${result};`, "}"];
   };
-  network("vec4 encode_xyz(vec3 xyz_m)", ["vec4(xyz_m, 0.0)"], SINE_LAYERS.slice(0, 2), "");
-  network("vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)", ["p0", "p1", "p2", "p3"],
-    SINE_LAYERS.slice(2), ".rgb");
-  return lines.join("\n");
+  return [
+    "vec4 sine_of_turns(vec4 turns) {",
+    "    vec4 s = 0.25 - abs(fract(turns) - 0.5);",
+    "    vec4 q = s * s;",
+    `    return s * (${a} + q * (${b} + q * (${c} + q * ${d})));`,
+    "}",
+    ...network("vec4 encode_xyz(vec3 xyz_m)", ["vec4(xyz_m, 0.0)"], SINE_LAYERS.slice(0, 2), ""),
+    ...network("vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)", ["p0", "p1", "p2", "p3"],
+      SINE_LAYERS.slice(2), ".rgb"),
+  ].join("\n");
 }

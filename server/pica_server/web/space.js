@@ -3,18 +3,6 @@
  * vectors; a camera's depth is metres before it.
  */
 
-/** @typedef {[number, number, number]} Vector */
-/** @typedef {Float64Array} Matrix 16 numbers, row by row. */
-/**
- * @typedef {object} Camera
- * @property {Vector} centre
- * @property {[Vector, Vector, Vector]} axes Right, up and forward in the world.
- * @property {[number, number, number, number]} lens Slopes of the picture's edges: left, bottom,
- * right, top.
- * @property {number} width
- * @property {number} height
- */
-
 export const NEAR_M = 0.02;
 const FAR_M = 20;
 

@@ -6,8 +6,6 @@
 
 import { SenderClock, seconds } from "./clock.js";
 
-/** @import { Frame } from "./wire.js" */
-
 const RATE_HZ = 48_000;
 const FRAME_S = 0.02;
 /** What the browser's decoder and the way to the audio thread take (chosen: two pictures). */

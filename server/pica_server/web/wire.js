@@ -4,21 +4,9 @@
  * alone.
  */
 
-/**
- * @typedef {{kind: string, policy: string, avatar: string, stream: number, deadline_ms: number}}
- * Track */
-/**
- * @typedef {{peer_id: string, name: string, tracks: Track[], metadata: Record<string, string>}}
- * Peer */
-/** @typedef {{stream: number, sequence: number, capturedUs: number, payload: Uint8Array}} Frame */
-/** @typedef {{type: string, [field: string]: any}} Message */
-
 export const SUBPROTOCOL = "pica.2";
-export const CONTROL_KIND = 1;
-export const MEDIA_KIND = 2;
-const HEADER_BYTES = 8;
-const TICK_US = 100;
-const TICKS = 2 ** 21;
+export const [CONTROL_KIND, MEDIA_KIND] = [1, 2];
+const [HEADER_BYTES, TICK_US, TICKS] = [8, 100, 2 ** 21];
 const encoder = new TextEncoder();
 const decoder = new TextDecoder("utf-8", { fatal: true });
 
@@ -96,17 +84,11 @@ export function decodeMessage(data) {
 }
 
 /** @param {Message} message */
-export function encodeMessage(message) {
-  return Uint8Array.from([CONTROL_KIND, ...pack(message)]);
-}
+export const encodeMessage = (message) => Uint8Array.from([CONTROL_KIND, ...pack(message)]);
 
-/**
- * The frames of a media message, in order.
- * @param {Uint8Array} data
- * @param {(stream: number) => number} expectedUs About what the capture time of a stream is: the
- * wire
- *     carries it modulo 209.7 s.
- */
+/** The frames of a media message, in order. @param {Uint8Array} data
+ * @param {(stream: number) => number} expectedUs About what the capture time of a stream is, which
+ * the wire carries modulo 209.7 s. */
 export function decodeMedia(data, expectedUs) {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   /** @type {Frame[]} */
@@ -139,10 +121,8 @@ export function encodeHeader({ stream, sequence, capturedUs }, length) {
 }
 
 /** A media message of one frame. @param {Frame} frame */
-export function encodeFrame(frame) {
-  return Uint8Array.from(
-    [MEDIA_KIND, ...encodeHeader(frame, frame.payload.length), ...frame.payload]);
-}
+export const encodeFrame = (frame) => Uint8Array.from(
+  [MEDIA_KIND, ...encodeHeader(frame, frame.payload.length), ...frame.payload]);
 
 /** @type {(value: number, divisor: number) => number} */
 const modulo = (value, divisor) => ((value % divisor) + divisor) % divisor;

@@ -42,7 +42,7 @@ export class Call extends EventTarget {
       if (isSelf) this.self = person;
       else this.members.set(person.id, person);
       if (avatar && !avatars.has(avatar)) {
-        avatars.set(avatar, fetch(`${avatar}.pica`).then((answer) => answer.arrayBuffer()).then((bytes) => openAvatar(bytes, avatar)));
+        avatars.set(avatar, fetch(`${avatar}.pica`).then((answer) => answer.arrayBuffer()).then((bytes) => openAvatar(bytes)));
       }
       avatars.get(avatar)?.then(
         (found) => Object.assign(person, { avatar: found, state: "" }),
