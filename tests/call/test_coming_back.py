@@ -8,9 +8,10 @@ from functools import partial
 
 import pytest
 
-from helpers.senders import LoadedAvatars, make_senders, run_senders
+from helpers.senders import LoadedAvatars, make_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
+from pica_client.call.status import FaceState
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
@@ -31,56 +32,42 @@ def config(name: str) -> LinkConfig:
 
 
 class Display:
-    """Looks at the face of the only sender, a hundred times a second."""
+    """What was seen of the only sender, a hundred times a second."""
 
-    def __init__(self, call: Call) -> None:
-        self.call = call
-        self.seen: list[tuple[float, str, str]] = []
-        self.peer_ids: set[str] = set()
+    def __init__(self) -> None:
+        self.seen: list[tuple[float, FaceState]] = []
 
-    async def watch(self) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            now = loop.time()
-            for face in self.call.faces(now):
-                self.seen.append((now, face.status, face.note))
-                self.peer_ids.add(face.peer_id)
-            await asyncio.sleep(0.01)
+    @property
+    def peer_ids(self) -> set[str]:
+        return {face.peer_id for _, face in self.seen}
 
     def statuses(self, begin_s: float, end_s: float) -> set[str]:
-        return {status for at_s, status, _ in self.seen if begin_s <= at_s < end_s}
+        return {face.status for at_s, face in self.seen if begin_s <= at_s < end_s}
 
     def notes(self, begin_s: float, end_s: float) -> set[str]:
-        return {note for at_s, _, note in self.seen if begin_s <= at_s < end_s}
+        return {face.note for at_s, face in self.seen if begin_s <= at_s < end_s}
 
 
 async def break_calls(
     broken: str, *, how: Callable[[Network, str], None] = Network.reset
 ) -> tuple[Display, dict[str, object], dict[str, object], dict[str, object]]:
     """A sender and a receiver; the connection of one of them breaks at 8 s."""
-    network = current_network()
-    async with Relay(RELAY) as relay:
-        senders = make_senders(
+    loop, display = asyncio.get_running_loop(), Display()
+    async with Relay(RELAY) as relay, asyncio.TaskGroup() as tasks:
+        (sender,) = make_senders(
             [config("ada")], list(AVATARS.items()), config=SenderConfig(seconds=20.0)
         )
-        call = Call(LoadedAvatars(AVATARS))
-        receiver = Receiver(config("viewer"), call)
-        display = Display(call)
-        sending = asyncio.create_task(run_senders(senders))
-        receiving = asyncio.create_task(receiver.run())
-        watching = asyncio.create_task(display.watch())
-        await asyncio.sleep(4)
-        call.begin_window(asyncio.get_running_loop().time())
-        await asyncio.sleep(4)
-        how(network, broken)
-        (sent,) = await sending
-        received = receiver.stats(asyncio.get_running_loop().time())
-        stats = relay.stats()
+        receiver = Receiver(config("viewer"), Call(LoadedAvatars(AVATARS)))
+        sending = tasks.create_task(sender.run())
+        tasks.create_task(receiver.run())
+        loop.call_at(8.0, how, current_network(), broken)
+        while not sending.done():
+            await asyncio.sleep(0.01)
+            now = loop.time()
+            display.seen += [(now, face) for face in receiver.call.faces(now)]
+        found = sender.stats(), receiver.stats(loop.time()), relay.stats()
         receiver.stop()
-        await receiving
-        watching.cancel()
-        await asyncio.gather(watching, return_exceptions=True)
-    return display, sent, received, stats
+    return display, *found
 
 
 @in_virtual_time
