@@ -1,5 +1,5 @@
-"""How commands end: in the time they were given, with their report, whatever the user or the disk
-does."""
+"""How commands end: in the time they were given, with their report and no traceback, whatever the
+user, the disk or the reader of their output does."""
 
 import json
 import signal
@@ -85,3 +85,32 @@ def test_a_second_interrupt_does_not_cost_the_report(
         said, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "reconnects" in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize("unread", ["stdout", "both"])
+@pytest.mark.parametrize("words", ["--help", "avatar info amara --json"])
+def test_output_that_nobody_reads_is_no_traceback(words: str, unread: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "pica_command", *words.split()],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if unread == "stdout" else subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        said = "" if process.stderr is None else process.stderr.read()
+        assert process.wait(60) in (1, 141)  # 1: rich ends by itself
+    assert "Traceback" not in said
+    assert "Exception ignored" not in said
+
+
+@needs_full
+@pytest.mark.parametrize("words", ["--help", "avatar info amara --json"])
+def test_output_for_which_there_is_no_room_is_one_line(words: str) -> None:
+    command = [sys.executable, "-m", "pica_command", *words.split()]
+    with FULL.open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == 1
+    assert "Traceback" not in ended.stderr
+    last = "pica: the output cannot be written: No space left on device"
+    assert ended.stderr.splitlines()[-1] == last

@@ -12,14 +12,13 @@ from typing import Any
 
 import pytest
 
-from helpers.senders import LoadedAvatars, make_senders, run_senders
+from helpers.senders import LoadedAvatars, link_of, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.bench.impairment import Impairment
 from pica_client.call.call import ArrivedFace, Call
 from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.stats import percentile
-from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -28,7 +27,6 @@ from simnet.network import Wire
 pytestmark = pytest.mark.call
 
 PEERS = ("ada", "ben", "cho", "dee", "eve")
-ROOM = "kitchen"
 SECONDS = 15.0
 AVATARS = {seed * 64: make_toy_avatar(seed=int(seed)) for seed in "12"}
 FRAME_BYTES = 22 + 8
@@ -54,12 +52,6 @@ class Watched:
         return dict(found)
 
 
-def link(relay: Relay, host: str, name: str) -> LinkConfig:
-    """Connect by a host name of the simulated network: it chooses the route."""
-    port = relay.url.rpartition(":")[2]
-    return LinkConfig(url=f"ws://{host}:{port}", room=ROOM, name=name)
-
-
 async def hold_call(
     networks: dict[str, Impairment], *, down: Impairment | None = None
 ) -> tuple[Watched, list[dict[str, Any]], dict[str, Any]]:
@@ -71,12 +63,12 @@ async def hold_call(
             network.route(name, up=networks.get(name, Wire()))
         network.route("viewer", down=down)
         senders = make_senders(
-            [link(relay, name, name) for name in PEERS],
+            [link_of(relay.url, name) for name in PEERS],
             list(AVATARS.items()),
             config=SenderConfig(seconds=SECONDS + 6),
         )
         call = Call(LoadedAvatars(AVATARS), on_face=watched.take)
-        receiver = Receiver(link(relay, "viewer", "viewer"), call)
+        receiver = Receiver(link_of(relay.url, "viewer"), call)
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(run_senders(senders))
             tasks.create_task(receiver.run())

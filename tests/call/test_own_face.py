@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from helpers.senders import LoadedAvatars
+from helpers.senders import LoadedAvatars, link_of
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call, Reflection
 from pica_client.call.status import CallStatus, FaceState
@@ -18,7 +18,6 @@ from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode
-from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_server.config import RelayConfig
@@ -50,13 +49,12 @@ class Person:
     """Somebody in the call, who looks at it twenty times a second."""
 
     def __init__(self, url: str, name: str, *, sends: bool = False) -> None:
-        port = url.rpartition(":")[2]
         self.publisher = None
         if sends:
             source = open_source("performance:talk")
             self.publisher = Publisher(SenderConfig(), source, AVATAR, AVATAR_ID)
         self.receiver = Receiver(
-            LinkConfig(url=f"ws://{name}:{port}", room="kitchen", name=name),
+            link_of(url, name),
             Call(LoadedAvatars({AVATAR_ID: AVATAR})),
             Outgoing(face=self.publisher),
         )

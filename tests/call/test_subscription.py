@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from helpers.senders import LoadedAvatars, make_senders
+from helpers.senders import LoadedAvatars, link_of, make_senders
 from pica_client.call.call import Call
 from pica_client.call.status import FaceState
 from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.sources import open_source
-from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_server.config import RelayConfig
@@ -38,10 +37,6 @@ ONE_WAY_S = 0.012
 @pytest.fixture(scope="module")
 def avatar() -> Avatar:
     return load_avatar(Path(str(resources.files("pica_core"))) / "avatars" / "amara.pica")
-
-
-def link(url: str, name: str) -> LinkConfig:
-    return LinkConfig(url=f"ws://{name}:{url.rpartition(':')[2]}", room="kitchen", name=name)
 
 
 class Truth:
@@ -70,13 +65,13 @@ async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
     async with Relay(RelayConfig(port=0)) as relay, asyncio.TaskGroup() as tasks:
         began_s = loop.time()
         (sender,) = make_senders(
-            [link(relay.url, "ada")],
+            [link_of(relay.url, "ada")],
             [(AVATAR_ID, avatar)],
             config=SenderConfig(seconds=24),
             sources=[open_source(SOURCE)],
         )
         call = Call(LoadedAvatars({AVATAR_ID: avatar}))
-        receiver = Receiver(link(relay.url, "viewer"), call)
+        receiver = Receiver(link_of(relay.url, "viewer"), call)
         tasks.create_task(sender.run())
         tasks.create_task(receiver.run())
 

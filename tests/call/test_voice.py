@@ -9,14 +9,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from helpers.senders import LoadedAvatars
+from helpers.senders import LoadedAvatars, link_of
 from pica_client.call.call import Call, Ears
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import VOICE_KEY
-from pica_client.transport.connect import LinkConfig
 from pica_client.voice import opus
 from pica_client.voice.opus import FRAME_US
 from pica_client.voice.source import TURN_S, SoundSource, VoicePublisher
@@ -63,11 +62,8 @@ class Person(Ears):
         if speaks:
             is_sealed = secret_file is not None
             self.voice = VoicePublisher(SoundSource(SOUND, *turn), is_sealed=is_sealed)
-        port = url.rpartition(":")[2]
         self.receiver = Receiver(
-            LinkConfig(
-                url=f"ws://{name}:{port}", room="kitchen", name=name, secret_file=secret_file
-            ),
+            link_of(url, name, secret_file=secret_file),
             Call(LoadedAvatars({AVATAR_ID: AVATAR}), ears=self if hears else None),
             Outgoing(face=self.publisher, voice=self.voice),
         )

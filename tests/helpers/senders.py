@@ -27,6 +27,12 @@ class LoadedAvatars:
         return ""
 
 
+def link_of(url: str, name: str, host: str = "", **options: Any) -> LinkConfig:
+    """A link of this name, by a host name of the simulated network: it chooses the route."""
+    port = url.rpartition(":")[2]
+    return LinkConfig(url=f"ws://{host or name}:{port}", room="kitchen", name=name, **options)
+
+
 def make_senders(
     links: Sequence[LinkConfig],
     avatars: Sequence[tuple[str, Avatar]],
