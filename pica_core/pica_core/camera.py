@@ -13,8 +13,6 @@ rest:
   50 mm. Where those stood is not published; ours fill the section evenly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,12 +88,12 @@ class Camera:
         view[:3, 3] = self.translation_m
         return (projection @ view).astype(np.float32)
 
-    def scaled(self, width: int, height: int) -> Camera:
+    def scaled(self, width: int, height: int) -> "Camera":
         """The same camera with another image size; the field of view stays if the aspect does."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=scale @ self.intrinsics, width=width, height=height)
 
-    def in_head(self, head_to_world: npt.ArrayLike) -> Camera:
+    def in_head(self, head_to_world: npt.ArrayLike) -> "Camera":
         """The camera in the axes of a head with this rotation and translation, metres ``[3, 4]``:
         what it sees of head-frame points."""
         pose = np.asarray(head_to_world, np.float64)

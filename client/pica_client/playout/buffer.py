@@ -25,8 +25,6 @@ path of the face changes (a frame comes after the face had to rest without it), 
 over to the new path within `motion.BLEND_S`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -34,8 +34,6 @@ was. Two windows rate, and the longer wait counts: the slow one forgets trouble 
 the fast one needs only three delays in a second.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections import deque

@@ -1,8 +1,6 @@
 """The manifest of an avatar file: who it is, its sizes and its scales, read from JSON without
 trust."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, astuple, dataclass, field, fields
 from types import MappingProxyType
@@ -64,7 +62,7 @@ class Manifest:
         return values | {"spec": asdict(self.spec), "model_card": dict(self.model_card)}
 
     @classmethod
-    def from_json(cls, values: Any) -> Manifest:
+    def from_json(cls, values: Any) -> "Manifest":
         """Read a manifest from parsed JSON of any type.
 
         Raises:

@@ -32,8 +32,6 @@ The models of the paper's tables are rows, each `FULL` with one part replaced:
 What the paper says of each, what it leaves open and what we chose: `docs/training.md`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from math import prod
@@ -147,7 +145,7 @@ class AvatarSpec:
         return EXPRESSION_CHANNELS + XYZ_CHANNELS[-1] + sum(self.encoding_channels.values())
 
     @classmethod
-    def from_json(cls, values: Any) -> AvatarSpec:
+    def from_json(cls, values: Any) -> "AvatarSpec":
         """Read what `dataclasses.asdict` makes of a spec, trusting nothing.
 
         Raises:

@@ -4,8 +4,6 @@ What the paper gives stands as its section 5 and appendix A have it in the prese
 the presets share is a constant beside its use, in `objectives` and `train`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

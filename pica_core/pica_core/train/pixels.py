@@ -15,8 +15,6 @@ Every image of a batch has the same number K of pixels, so that shapes can stay 
 images that have fewer are filled up.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

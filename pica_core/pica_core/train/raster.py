@@ -6,8 +6,6 @@ pixels on an edge (one in some thousands), where GL rounds corners to fractions 
 lies on the triangle is `pixels`'s question.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -64,7 +62,7 @@ class Views(NamedTuple):
     height: int
 
     @classmethod
-    def of(cls, cameras: Sequence[Camera], like: Tensor | None = None) -> Views:
+    def of(cls, cameras: Sequence[Camera], like: Tensor | None = None) -> "Views":
         """The cameras with dtype and device of `like`, or as float32 on the CPU.
 
         Raises:

@@ -13,8 +13,6 @@ first image, and the split holds out whole segments. Audio is left alone. Nothin
 is part of this project; it has a licence of its own (CC BY-NC 4.0).
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from functools import cache
@@ -238,7 +236,7 @@ class Capture:
         return None
 
     @classmethod
-    def open(cls, path: str | Path) -> Capture:
+    def open(cls, path: str | Path) -> "Capture":
         """Open a capture directory and check what describes it; images and meshes are checked when
         read.
 

@@ -3,8 +3,6 @@
 What is missing, damaged or does not fit is a `CaptureError` that names the file.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -71,7 +69,7 @@ class Topology:
         """A vertex set by name; empty where there is none."""
         return self.regions.get(name, np.zeros(len(self.vertex_uv), np.bool_))
 
-    def part(self, index: Int64Array, faces: IntArray) -> Topology:
+    def part(self, index: Int64Array, faces: IntArray) -> "Topology":
         """The mesh of some of the vertices ``[n]``, with triangles in these."""
         regions = {name: mask[index] for name, mask in self.regions.items()}
         return Topology(vertex_uv=self.vertex_uv[index], faces=faces, regions=regions)
