@@ -11,15 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, Self
-
-from platformdirs import PlatformDirs
+from typing import Self
 
 from pica_client.errors import OptionError
 from pica_protocol.limits import printable
-
-FOLDERS: Final = PlatformDirs("pica-telepresence", appauthor=False, roaming=True)
-"""This user's folders for what is fetched, set and recorded."""
 
 
 class Closing(ABC):

@@ -13,55 +13,39 @@ from urllib.parse import urlsplit
 
 MAX_FRAME_BYTES = 1200
 """Header and payload of one media frame: fits a datagram on any path (chosen: RFC 9000 14.1)."""
-
 MAX_MEDIA_MESSAGE_BYTES = 16_384
 """One websocket message of media frames (chosen: 13 of the largest frames, a TLS record)."""
-
 MAX_CONTROL_BYTES = 131_072
 """One control message from the relay: ``Joined`` with the largest room fits; a test proves it."""
-
 MAX_CLIENT_MESSAGE_BYTES = 16_384
 """One message of either kind from a client: the relay reads no more than this at once."""
-
 MAX_STREAM = 65_535
 """Streams are unsigned 16 bit, unique in a room; 0 means "not allotted yet"."""
-
 MAX_PEERS = 64
 """Peers in one room that a message can name (chosen: a conference, not a stadium)."""
-
 MAX_TRACKS = 4
 """Tracks of one peer: face, voice, and two to spare (chosen)."""
-
 MAX_METADATA_ENTRIES = 8
 """Entries in what a peer says of itself."""
-
 MAX_METADATA_KEY_BYTES = 16
 MAX_METADATA_VALUE_BYTES = 64
 """Of one entry; all of them together take less than 700 bytes (chosen: a role, a seat, a raised
 hand; what is larger belongs behind an address that stands here)."""
-
 MAX_DEADLINE_MS = 10_000
 """How long a frame of an ordered track may wait for its receiver, at most."""
-
 MAX_NAME_BYTES = 64
 """A peer's display name, in UTF-8."""
-
 MAX_REASON_BYTES = 120
 """A close reason, in UTF-8; a websocket close frame carries 123 (RFC 6455 5.5)."""
-
 MAX_WHISPER_BYTES = 512
 """Opaque bytes one peer may send to another through the relay: a wrapped key fits (chosen)."""
-
 MAX_PASS_BYTES = 2048
 """A join token: its claims and signature, in base64 (chosen: fourteen avatar ids fit). No text in a
 message is longer."""
-
 MAX_URL_BYTES = 256
 """The address of another relay (chosen: a host name is at most 253 characters, a usual one 30)."""
-
 MAX_MAP_FIELDS = 16
 """Fields in one map; room for later versions to add some."""
-
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _PASS = re.compile(r"[A-Za-z0-9_.-]*")
 _RELAY_URL = re.compile(r"wss?://([A-Za-z0-9.-]+|\[[0-9a-fA-F:.]+\])(:\d{1,5})?(/[!-~]*)?")

@@ -25,11 +25,11 @@ import httpx
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
-from pica_client.system import FOLDERS, make_private
+from pica_client.system import make_private
 from pica_client.transport.connect import SOFTWARE, proxy_of
 from pica_core.avatar.file import MAX_FILE_BYTES, SUFFIX, Avatar, avatar_id, load_avatar
 from pica_core.errors import AvatarFileError
-from pica_core.files import replacing
+from pica_core.files import FOLDERS, replacing
 from pica_protocol.limits import is_avatar_id
 from pica_protocol.messages import AVATARS_PATH
 

@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.system import FOLDERS, make_private
+from pica_client.system import make_private
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
-from pica_core.files import replacing
+from pica_core.files import FOLDERS, replacing
 from pica_core.types import BoolArray, FloatArray
 
 MAX_NEUTRAL: Final = 0.6

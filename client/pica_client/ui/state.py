@@ -14,10 +14,10 @@ from urllib.parse import urlsplit, urlunsplit
 from pica_client.publish import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import ViewState as Orbit
-from pica_client.system import FOLDERS, make_private, say
+from pica_client.system import make_private, say
 from pica_client.transport.connect import DEFAULT_ROOM, DEFAULT_URL
 from pica_client.voice.sound.settings import SoundSettings
-from pica_core.files import replacing
+from pica_core.files import FOLDERS, replacing
 
 Sent = Literal["none", "sent", "muted"]
 """What becomes of the user's own face or voice; none: there is none to send."""

@@ -31,7 +31,7 @@ from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.schedule.scheduler import Plan, Scheduler
-from pica_client.system import FOLDERS, Closing, say
+from pica_client.system import Closing, say
 from pica_client.ui.actions import Action, Request, keyboard, mouse, settle
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
@@ -42,6 +42,7 @@ from pica_client.ui.overlay import ASPECT, own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.window import Surface, Window
+from pica_core.files import FOLDERS
 from pica_core.gl import create_context, is_software
 from pica_protocol import messages
 

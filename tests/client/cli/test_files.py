@@ -13,9 +13,10 @@ import pytest
 from pica_client.avatars.fetch import AvatarCache
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import OptionError, SealError
-from pica_client.system import FOLDERS, say
+from pica_client.system import say
 from pica_client.ui.recorder import save_png
 from pica_client.ui.state import PreferencesFile, ViewState
+from pica_core.files import FOLDERS
 from pica_server.cli.token import TokenOptions, token
 from pica_server.config import ConfigurationError
 from pica_server.tokens import load_keys
