@@ -29,11 +29,11 @@ _MOST_HOPS = 64
 
 
 class RefusalError(Exception):
-    """A peer may not do what it asks for; ``code`` is what it is told."""
+    """A peer may not do what it asks for; it is told ``code``, and ``limit`` is counted."""
 
-    def __init__(self, message: str, code: CloseCode) -> None:
+    def __init__(self, message: str, code: CloseCode, limit: str = "admission") -> None:
         super().__init__(message)
-        self.code = code
+        self.code, self.limit = code, limit
 
 
 class TokenBucket:

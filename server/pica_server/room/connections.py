@@ -20,7 +20,7 @@ from pica_protocol.frames import FrameSpan
 from pica_protocol.messages import Message, StreamMuted, Whisper
 from pica_protocol.session import ServerSession
 from pica_server.config import RelayConfig
-from pica_server.limits import TokenBucket
+from pica_server.limits import RefusalError, TokenBucket
 from pica_server.room.outbox import MAX_FRESH, Outbox
 from pica_server.room.room import EVERY_MOST, Connection, Room, Stream
 from pica_server.stats import RelayStats
@@ -132,8 +132,8 @@ class Connections:
         if self.is_draining:
             self.send_elsewhere([connection], now)
         elif is_full:
-            reason = "the relay is full"
-            self.refuse(connection, "connections", CloseCode.RELAY_FULL, reason, now)
+            full = RefusalError("the relay is full", CloseCode.RELAY_FULL, "connections")
+            self.refuse(connection, full, now)
         return connection
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
@@ -142,19 +142,17 @@ class Connections:
             connection.session.close(code, reason)
             self.on_over(connection, now)
 
-    def refuse(
-        self, connection: Connection, limit: str, code: CloseCode, reason: str, now: float
-    ) -> None:
+    def refuse(self, connection: Connection, why: RefusalError, now: float) -> None:
         """Close who has reached a limit, and count it, unless it is over."""
         if connection.closed is None:
-            self.stats.limits_hit[limit] += 1
-            self.close(connection, code, reason, now)
+            self.stats.limits_hit[why.limit] += 1
+            self.close(connection, why.code, str(why), now)
 
     def close_too_fast(self, connection: Connection, now: float) -> None:
         """Close who sends more than a client may."""
         limit = f"{self.config.limits.bytes_per_s:g} bytes"
         reason = f"more than {limit} a second, with {MESSAGE_COST_BYTES} for each message"
-        self.refuse(connection, "bytes", CloseCode.TOO_FAST, reason, now)
+        self.refuse(connection, RefusalError(reason, CloseCode.TOO_FAST, "bytes"), now)
 
     def send_elsewhere(self, connections: Sequence[Connection], now: float, url: str = "") -> None:
         """Redirect some, to a relay that has their room, or because this one is stopping; none of
@@ -219,7 +217,7 @@ class Connections:
             return
         if not connection.outbox.put_control(data):
             reason = f"{connection.outbox.waiting_control_bytes} bytes of control messages wait"
-            self.refuse(connection, "control", CloseCode.TOO_SLOW, reason, now)
+            self.refuse(connection, RefusalError(reason, CloseCode.TOO_SLOW, "control"), now)
         self.ready.append(connection)
 
     def forward(

@@ -29,6 +29,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, ServerEvent
 from pica_server.config import RelayConfig
+from pica_server.limits import RefusalError
 from pica_server.room.connections import MESSAGE_COST_BYTES, Connections, Overload
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
@@ -172,19 +173,22 @@ class Hub:
             self.membership.send_elsewhere(name, [], url, now)
 
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
-        match event:
-            case Join():
-                self.membership.join(connection, event, now)
-            case Closed():
-                self.membership.clear_up(connection, now)
-            case Subscribe(stream=stream, every=every):
-                self.connections.subscribe(connection, stream, every)
-            case Whisper():
-                self.connections.whisper(connection, event, now)
-            case RemovePeer() | MutePeer() | BarIdentity():
-                self.membership.moderate(connection, event, now)
-            case UpdateMetadata():
-                self.membership.update_metadata(connection, event, now)
+        try:
+            match event:
+                case Join():
+                    self.membership.join(connection, event, now)
+                case Closed():
+                    self.membership.clear_up(connection, now)
+                case Subscribe(stream=stream, every=every):
+                    self.connections.subscribe(connection, stream, every)
+                case Whisper():
+                    self.connections.whisper(connection, event, now)
+                case RemovePeer() | MutePeer() | BarIdentity():
+                    self.membership.moderate(connection, event, now)
+                case UpdateMetadata():
+                    self.membership.update_metadata(connection, event, now)
+        except RefusalError as error:
+            self.connections.refuse(connection, error, now)
 
 
 def _last_frames(messages: Sequence[bytes | str]) -> dict[int, int]:

@@ -81,29 +81,23 @@ class Membership:
         self._connections.on_over = self.clear_up
 
     def join(self, connection: Connection, join: Join, now: float) -> None:
-        """Let a peer into a room, or close it."""
-        limits, refuse = self._connections.config.limits, self._connections.refuse
+        """Let a peer into a room, or raise `RefusalError`."""
         if connection.is_crowded and self._place_of(join) is None:
-            reason = f"{limits.connections_per_address} connections from one address"
-            refuse(connection, "address", CloseCode.TOO_MANY, reason, now)
-            return
+            most = self._connections.config.limits.connections_per_address
+            raise RefusalError(
+                f"{most} connections from one address", CloseCode.TOO_MANY, "address"
+            )
         # First of all: who has no token must not use up the joins of those who have one.
-        try:
-            admission = self._admit(join)
-        except RefusalError as error:
-            refuse(connection, "admission", error.code, str(error), now)
-            return
+        admission = self._admit(join)
         place = self._place_of(join, admission.identity)
         payer = admission.identity or (connection.address if place is None else place.peer_id)
         if not self._may_join(payer, now, is_back=place is not None):
-            reason = "too many join at once, try again"
-            refuse(connection, "joins", CloseCode.BUSY, reason, now)
-            return
+            raise RefusalError("too many join at once, try again", CloseCode.BUSY, "joins")
         if self.placement is None or join.room in self.rooms:
             self._let_in(connection, join, admission, now)
-            return
-        self._waiting.setdefault(join.room, []).append((connection, join, admission))
-        self.placement.ask(join.room)
+        else:
+            self._waiting.setdefault(join.room, []).append((connection, join, admission))
+            self.placement.ask(join.room)
 
     def _may_join(self, payer: str, now: float, *, is_back: bool) -> bool:
         """Return True if there is room for one more join, of this identity, place or address, and
@@ -128,7 +122,10 @@ class Membership:
             self.send_elsewhere(room, [connection for connection, _, _ in waiting], url, now)
             return
         for connection, join, admission in waiting:
-            self._let_in(connection, join, admission, now)
+            try:
+                self._let_in(connection, join, admission, now)
+            except RefusalError as error:
+                self._connections.refuse(connection, error, now)
 
     def send_elsewhere(
         self, room_name: str, waiting: Sequence[Connection], url: str, now: float
@@ -141,25 +138,23 @@ class Membership:
             self._give_up(member, "lost", now)
 
     def _let_in(self, connection: Connection, join: Join, admission: Admission, now: float) -> None:
-        """Let a peer into a room of this relay, or close it."""
-        refuse, capacity = self._connections.refuse, self._connections.config.room_capacity
+        """Let a peer into a room of this relay, or raise `RefusalError`."""
+        capacity = self._connections.config.room_capacity
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
             return
         room = self.rooms.get(join.room) or Room(join.room, capacity)
         if self._overload.refuses(now) and room.find(admission.identity) is None:
             reason = f"the relay has too much to do, try again in {CALM_S:g} s"
-            refuse(connection, "late", CloseCode.BUSY, reason, now)
-            return
+            raise RefusalError(reason, CloseCode.BUSY, "late")
         self._replace(room, connection, join, admission.identity, now)
         if room.is_decided(admission.identity):
-            reason = "an admin has barred you until the room is empty"
-            refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
-            return
+            raise RefusalError(
+                "an admin has barred you until the room is empty", CloseCode.FORBIDDEN
+            )
         if room.is_full:
             reason = f"room {join.room} is full: {capacity} peers"
-            refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
-            return
+            raise RefusalError(reason, CloseCode.ROOM_FULL, "room")
         if not room.members:  # new, or its last member has just been replaced
             room = Room(join.room, capacity)
         self._enter(connection, room, room.join(connection, join, admission), now)
@@ -167,10 +162,8 @@ class Membership:
     def update_metadata(self, member: Connection, update: UpdateMetadata, now: float) -> None:
         """Note what a peer says of itself, and tell the others."""
         if not member.told.take(now, UPDATE_COST):
-            reason = "metadata changes too often"
-            self._connections.refuse(member, "metadata", CloseCode.TOO_FAST, reason, now)
-        else:
-            self._note_metadata(member, update.metadata, now)
+            raise RefusalError("metadata changes too often", CloseCode.TOO_FAST, "metadata")
+        self._note_metadata(member, update.metadata, now)
 
     def _note_metadata(self, member: Connection, metadata: Metadata, now: float) -> None:
         assert member.room is not None
@@ -180,18 +173,14 @@ class Membership:
             self._connections.tell_others(member.room, member, news, now)
 
     def moderate(self, member: Connection, asked: Moderation, now: float) -> None:
-        """Do what an admin asks for, or close who may not ask. A participant who is not in the room
+        """Do what an admin asks for, or raise `RefusalError`. A participant who is not in the room
         any more is left alone: the request and the leaving have crossed."""
-        room, refuse = member.room, self._connections.refuse
+        room = member.room
         assert room is not None  # the session's table: only while joined
         if not member.is_admin:
-            reason = "your token does not let you moderate"
-            refuse(member, "admission", CloseCode.FORBIDDEN, reason, now)
-            return
+            raise RefusalError("your token does not let you moderate", CloseCode.FORBIDDEN)
         if not member.told.take(now, MODERATION_COST):
-            reason = "you moderate too often"
-            refuse(member, "moderation", CloseCode.TOO_FAST, reason, now)
-            return
+            raise RefusalError("you moderate too often", CloseCode.TOO_FAST, "moderation")
         removed: Connection | None = None
         match asked:
             case RemovePeer(peer_id=peer_id):
