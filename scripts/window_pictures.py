@@ -29,8 +29,7 @@ from pica_client.local_call.processes import Children
 from pica_protocol.invite import Invite, make_link
 
 if TYPE_CHECKING:
-    from pica_client.ui.call_view import CallView
-    from pica_client.ui.state import ViewState
+    from pica_client.ui.state import CallView, ViewState
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = ("1280x720", "480x360", "2560x1440", "2560x1440@2")

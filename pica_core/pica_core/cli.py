@@ -249,7 +249,7 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
             has not agreed.
         FaceNetworksError: The networks are not there.
     """
-    from pica_core.capture.me.head import FILE as HEAD
+    from pica_core.capture.me.face import FILE as HEAD
     from pica_core.capture.me.register import register
     from pica_core.capture.me.report import FILE as REPORT
     from pica_core.capture.me.report import write_report
@@ -307,6 +307,6 @@ def me(options: MeOptions) -> dict[str, Any]:
 
 def render_me(console: Console, head: Path, options: RenderOptions, out: Path) -> dict[str, Any]:
     """Render a fitted head into a capture."""
-    from pica_core.capture.me.head import OwnSubject, read_head
+    from pica_core.capture.me.face import OwnSubject, read_head
 
     return _render(console, lambda side: OwnSubject(read_head(head), bake_size=side), options, out)

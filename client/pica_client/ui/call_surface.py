@@ -16,7 +16,6 @@ from pica_client.call.status import CallStatus, notices
 from pica_client.render.scene import NEAR_M, Rect, common_px
 from pica_client.render.seats import FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
-from pica_client.ui.call_view import UNKNOWN, CallView, NoticeBoard, OwnFaceView, Panel, PersonView
 from pica_client.ui.overlay import (
     control_bar,
     free_shares,
@@ -27,7 +26,15 @@ from pica_client.ui.overlay import (
     signs,
 )
 from pica_client.ui.side import side_panel, waiting_page
-from pica_client.ui.state import ViewState
+from pica_client.ui.state import (
+    UNKNOWN,
+    CallView,
+    NoticeBoard,
+    OwnFaceView,
+    Panel,
+    PersonView,
+    ViewState,
+)
 from pica_client.ui.widgets import screen
 from pica_client.voice.sound.settings import SoundState
 from pica_core.camera import Camera

@@ -13,9 +13,8 @@ from pica_client.call.status import duration_text, joined_names, recorders
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Row
-from pica_client.ui.call_view import CallView, Line, PersonView
 from pica_client.ui.side import side_share
-from pica_client.ui.state import ViewState
+from pica_client.ui.state import CallView, Line, PersonView, ViewState
 from pica_client.ui.widgets import (
     BAR_PT,
     EDGE_PT,

@@ -12,8 +12,7 @@ from pica_client.call.status import duration_text
 from pica_client.sources.source import PERFORMANCES
 from pica_client.ui import widgets
 from pica_client.ui.actions import TALK_KEY, Action, help_lines
-from pica_client.ui.call_view import CallView
-from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
+from pica_client.ui.state import LAYOUT_TITLES, SCALES, CallView, ViewState
 from pica_client.ui.widgets import (
     BAR_PT,
     EDGE_PT,

@@ -1,23 +1,31 @@
-"""What the user wants: the preferences, which one small file keeps, and the state of this call.
+"""What the user wants: the preferences, which one small file keeps, and the state of this call; and
+all that its panels may show, as one read-only `CallView` a frame.
 
-Panels and keys write into one `ViewState`; the rest of the viewer follows it. A damaged file is
-reported once, and defaults are taken. No secret is in the file: the last address is kept without
-user, password or query, tokens are not kept at all.
+Panels and keys write into one `ViewState`; the rest of the viewer follows it. A panel is a function
+of both, which draws with stock ImGui and `widgets`, and notes in the state what the user asks for.
+A damaged file is reported once, and defaults are taken. No secret is in the file: the last address
+is kept without user, password or query, tokens are not kept at all.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import urlsplit, urlunsplit
 
+from pica_client.call.roster import Member
+from pica_client.call.status import CallStatus
 from pica_client.publish import DEFAULT_SOURCE
+from pica_client.render.scene import Rect
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import ViewState as Orbit
 from pica_client.system import make_private, say
 from pica_client.transport.connect import DEFAULT_ROOM, DEFAULT_URL
-from pica_client.voice.sound.settings import SoundSettings
+from pica_client.ui.widgets import Tone
+from pica_client.voice.sound.settings import SoundSettings, SoundState
 from pica_core.files import FOLDERS, replacing
+from pica_protocol.messages import Peer
 
 Sent = Literal["none", "sent", "muted"]
 """What becomes of the user's own face or voice; none: there is none to send."""
@@ -164,3 +172,82 @@ def _known(kind: type, content: dict[str, Any]) -> dict[str, Any]:
     else is there is left out."""
     usual = asdict(kind())
     return {name: type(usual[name])(content[name]) for name in usual if name in content}
+
+
+UNKNOWN: Final = Member(peer=Peer(peer_id="unknown", name="unknown"))
+"""Stands for a participant whom the list does not have yet."""
+NOTICE_S: Final = 6.0
+"""How long a notice stands (chosen: a line of twenty words is read)."""
+MAX_NOTICES: Final = 3
+"""Shown at once; one more drops the oldest."""
+
+
+Line = tuple[str, Tone]
+"""Something that is said, and how loud."""
+
+
+class NoticeBoard:
+    """Keeps the notices that are shown."""
+
+    def __init__(self) -> None:
+        self._notices: list[tuple[Line, float]] = []
+
+    def add(self, notice: Line, now: float) -> None:
+        """Show a notice from `now` on, seconds; the same text again only stays longer."""
+        others = [each for each in self._notices if each[0] != notice]
+        self._notices = [*others, (notice, now + NOTICE_S)][-MAX_NOTICES:]
+
+    def shown(self, now: float) -> tuple[Line, ...]:
+        """Return the notices of this moment, the oldest first."""
+        self._notices = [each for each in self._notices if now < each[1]]
+        return tuple(notice for notice, _ in self._notices)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PersonView:
+    """All that is shown of one participant."""
+
+    peer_id: str
+    name: str
+    remark: str = ""
+    """What is wrong with the avatar, the face or the connection; empty when all is well."""
+    is_speaking: bool = False
+    label: Rect | None = None
+    """The part of the surface that the name may fill, from its upper edge on; None: nowhere."""
+    member: Member = UNKNOWN
+    """As of the last look at the room."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OwnFaceView:
+    """What is shown of the user's own face."""
+
+    texture: int | None = None
+    """What the others see, as a number of the surface; None before there is a picture."""
+    source: str = ""
+    """What plays it."""
+    is_seen: bool | None = None
+    """Whether its tracker sees a face; None without a tracker."""
+    camera: int | None = None
+    """What its camera sees, as a number of the surface."""
+    aspect: float = 1.0
+    """Width by height of that."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CallView:
+    """One frame of a call."""
+
+    people: tuple[PersonView, ...] = ()
+    """All participants with a face, in the order of their seats."""
+    status: CallStatus = field(default_factory=CallStatus)
+    notices: tuple[Line, ...] = ()
+    """What was just done, and what just happened, the oldest first."""
+    has_pointer: bool = True
+    """There is a window with a pointer, and so a control bar."""
+    own: OwnFaceView = field(default_factory=OwnFaceView)
+    sound: SoundState | None = None
+    """How sound stands; None: there is none."""
+
+
+Panel = Callable[[ViewState, CallView], None]

@@ -36,11 +36,10 @@ from pica_client.ui.actions import Action, Request, keyboard, mouse, settle
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
-from pica_client.ui.call_view import OwnFaceView
 from pica_client.ui.options import BUDGET_SHARE, DISPLAY_FPS, SOFTWARE_FPS, ViewOptions, parse_size
 from pica_client.ui.overlay import ASPECT, own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
-from pica_client.ui.state import ViewState
+from pica_client.ui.state import OwnFaceView, ViewState
 from pica_client.ui.window import Surface, Window
 from pica_core.files import FOLDERS
 from pica_core.gl import create_context, is_software

@@ -25,8 +25,7 @@ from helpers.playout_trial import (
     value_at,
     value_of,
 )
-from pica_client.playout.buffer import CEILING_S, MAX_LAG_S, Playout
-from pica_client.playout.motion import BLEND_S, Playhead
+from pica_client.playout.buffer import BLEND_S, CEILING_S, MAX_LAG_S, Playhead, Playout
 from pica_client.playout.sender_clock import Transit
 
 pytestmark = pytest.mark.unit

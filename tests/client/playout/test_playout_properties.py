@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.playout_trial import FAR_CLOCK_US, arrive, face, value_of
-from pica_client.playout import motion
-from pica_client.playout.buffer import Playout
-from pica_client.playout.motion import MAX_FRAMES, MAX_GAP_S
+from pica_client.playout import buffer
+from pica_client.playout.buffer import MAX_FRAMES, MAX_GAP_S, Playout
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -32,7 +31,7 @@ def value(index: int) -> float:
 steps = st.tuples(st.integers(1, 8), st.floats(0, 0.3), st.integers(1, 2), st.integers(0, 6))
 
 
-@mock.patch.object(motion, "BLEND_S", 0.0)
+@mock.patch.object(buffer, "BLEND_S", 0.0)
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(st.lists(steps, max_size=60))
 def test_a_face_moves_evenly_between_the_frames_that_came_and_never_back(

@@ -14,7 +14,6 @@ from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus
 from pica_client.ui.actions import Action, Request
-from pica_client.ui.call_view import NOTICE_S, CallView, NoticeBoard, OwnFaceView, Panel, PersonView
 from pica_client.ui.overlay import (
     banner,
     call_signs,
@@ -25,7 +24,16 @@ from pica_client.ui.overlay import (
     signs,
 )
 from pica_client.ui.side import side_panel, signs_of, waiting_page
-from pica_client.ui.state import Side, ViewState
+from pica_client.ui.state import (
+    NOTICE_S,
+    CallView,
+    NoticeBoard,
+    OwnFaceView,
+    Panel,
+    PersonView,
+    Side,
+    ViewState,
+)
 from pica_client.ui.widgets import as_drawn
 from pica_client.ui.window import ON_PICTURE
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState

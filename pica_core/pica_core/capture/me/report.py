@@ -11,8 +11,7 @@ from PIL import Image
 
 from pica_core.camera import Camera, aimed_camera
 from pica_core.capture.dataset.multiface import MATERIALS, write_aside
-from pica_core.capture.me.face import head_faces
-from pica_core.capture.me.head import OwnHead, chart_uv
+from pica_core.capture.me.face import OwnHead, chart_uv, head_faces
 from pica_core.capture.me.register import Registered
 from pica_core.capture.me.scan import MeshViews, Scan
 from pica_core.capture.person.choices import read_model

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.me.face import landmark_places
-from pica_core.capture.me.head import TEXTURE_SIZE, OwnHead, chart_uv
+from pica_core.capture.me.face import TEXTURE_SIZE, OwnHead, chart_uv, landmark_places
 from pica_core.capture.me.register import Registered
 from pica_core.capture.person.choices import (
     CLIP,

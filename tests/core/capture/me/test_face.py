@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.me.face import fit_face, landmark_places
-from pica_core.capture.me.head import chart_uv
+from pica_core.capture.me.face import chart_uv, fit_face, landmark_places
 from pica_core.capture.person.choices import NUM_MODES, read_model
 
 pytestmark = pytest.mark.unit
