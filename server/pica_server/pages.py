@@ -1,19 +1,25 @@
 """What the relay answers to plain HTTP: is it alive, is there a place, its numbers, to admins who
 is in its rooms, and to browsers a page: a participant that needs no installation.
 
-Pure but for `page_files`. A link to a room is ``https://RELAY/ROOM#token=…``: the page is the same
-for every room, and reads what stands in the link. It names its files by a folder that changes with
-them, so a browser keeps them for good and never mixes two versions.
+Pure but for `page_files`, which finds files of other packages and imports none: a relay has none of
+the libraries that those need. A link to a room is ``https://RELAY/ROOM#token=…``: the page is the
+same for every room, and reads what stands in the link. It names its files by a folder that changes
+with them, so a browser keeps them for good and never mixes two versions.
 """
 
+import ast
+import base64
 import hashlib
 import json
 import re
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http import HTTPStatus
 from importlib import resources
+from importlib.util import find_spec
 from itertools import islice
+from pathlib import Path
 from typing import Any, Final
 
 from pica_protocol.errors import CloseCode
@@ -25,7 +31,6 @@ from pica_server.room.room import Connection, Room
 from pica_server.stats import CONTENT_TYPE, metrics_text
 from pica_server.store.store import AvatarStore
 from pica_server.tokens import ANY_ROOM
-from pica_server.web import avatar_names, mouth_weights, shader_texts
 
 MAX_LISTED: Final = 1000
 """People in one answer to ``GET /rooms`` (chosen: 300 kB, some milliseconds of work)."""
@@ -229,3 +234,46 @@ def _policy(host: str) -> str:
 def _page(text: str, name: str, headers: Mapping[str, str]) -> Page:
     content_type = CONTENT_TYPES[name.rpartition(".")[2]]
     return Page(HTTPStatus.OK, text, content_type, {**_HEADERS, **headers})
+
+
+def shader_texts() -> dict[str, str]:
+    """The shaders that the page composes, by name."""
+    return {
+        file.name: file.read_text(encoding="utf-8")
+        for file in _files("pica_client", "render/shaders/*.*")
+    }
+
+
+def avatar_files() -> list[Path]:
+    """The avatars that ship."""
+    return _files("pica_core", "avatars/*.pica")
+
+
+def mouth_weights() -> dict[str, dict[str, Any]]:
+    """The network that moves a mouth by a voice: by name the shape of a matrix, and its columns one
+    after the other as half floats in base64."""
+    found = {}
+    for path in _files("pica_client", "voice/mouth.npz"):
+        with zipfile.ZipFile(path) as file:
+            for name in file.namelist():
+                # The format of numpy: ten bytes, of which two are the length of the header.
+                data = file.read(name)
+                begin = 10 + int.from_bytes(data[8:10], "little")
+                header = ast.literal_eval(data[10:begin].decode())
+                halfs = base64.b64encode(data[begin:]).decode()
+                found[Path(name).stem] = {"shape": header["shape"], "halfs": halfs}
+    return found
+
+
+def avatar_names() -> dict[str, str]:
+    """The ids of the avatars that ship, by name."""
+    return {
+        path.stem.capitalize(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in avatar_files()
+    }
+
+
+def _files(package: str, pattern: str) -> list[Path]:
+    found = find_spec(package)
+    folders = [] if found is None else found.submodule_search_locations or []
+    return sorted(file for folder in folders for file in Path(folder).glob(pattern))

@@ -25,13 +25,12 @@ from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, mo
 from pica_server.log import say
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
-from pica_server.pages import StatusPages, WebPage, page_files
+from pica_server.pages import StatusPages, WebPage, avatar_files, page_files
 from pica_server.room.connections import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.store.store import AvatarStore
 from pica_server.store.transfers import Transfers
 from pica_server.tokens import admin_scope, admit, admit_upload, load_keys
-from pica_server.web import avatar_files
 
 if TYPE_CHECKING:
     from pica_server.placement.placement import RoomPlacement

@@ -10,7 +10,7 @@ from typing import Any
 
 from helpers.chromium import chromium
 from helpers.paths import ROOT
-from pica_server.web import shader_texts
+from pica_server.pages import shader_texts
 
 WEB = ROOT / "server" / "pica_server" / "web"
 PAGES = ROOT / "tests" / "web" / "pages"

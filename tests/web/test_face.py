@@ -9,7 +9,7 @@ from helpers.page import Handle, Page
 from pica_client.voice.mouth import MouthFromVoice
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
-from pica_server.web import avatar_names, mouth_weights
+from pica_server.pages import avatar_names, mouth_weights
 
 pytestmark = pytest.mark.unit
 
