@@ -63,6 +63,10 @@ class OnnxDecoder:
             session = self._sessions[size, parts] = open_session(graph, self._threads)
         return session
 
+    def has(self, level: int | None, parts: Parts) -> bool:
+        """Whether `prepare` for such decodes takes no time."""
+        return (MAP_SIZE if level is None else level, parts) in self._sessions
+
     def prepare_next(self) -> bool:
         """Get ready for one more kind of decode, the finest first; return whether there was one."""
         kinds: list[tuple[int, Parts]] = [

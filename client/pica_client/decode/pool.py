@@ -5,15 +5,15 @@ A slot has one turn at a time and one request that waits for the next: a newer o
 and the replaced ones are counted. It is widened by what the old one asked for, so a request for the
 expression map alone never cancels one for both.
 
-Getting ready for a level takes as long as a few frames. A worker whom no avatar waits for gets
-ready for another one, so that a change of level in the middle of a call finds everything there.
+Building the session of a level takes as long as a few frames, so a thread of its own does it: faces
+whose sessions are there are decoded meanwhile. It builds what is asked for first, then all others,
+so that a change of level in the middle of a call finds everything there.
 """
 
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pica_client.decode.decoder import OnnxDecoder
@@ -41,8 +41,10 @@ class _Slot:
     avatar: Avatar
     decoder: OnnxDecoder | None = None
     is_broken: bool = False
-    is_ready: bool = False
-    """Whether its decoder is ready for all levels."""
+    lacks_session: bool = False
+    """Whether its turn waits for its decoder, or for a session of it."""
+    has_all: bool = False
+    """Whether its decoder has the sessions of all levels."""
     is_busy: bool = False
     """Whether it has a turn, or waits for it."""
     request: DecodeRequest | None = None
@@ -54,7 +56,7 @@ class DecodePool(Closing):
     """Decodes the newest latent of every avatar on worker threads.
 
     Args:
-        make_decoder: Builds the decoder of an avatar; runs on a worker, for it may take long.
+        make_decoder: Builds the decoder of an avatar; runs on a thread, for it may take long.
         clock: Seconds, monotonic.
         workers: Threads; see `num_workers`.
 
@@ -77,10 +79,10 @@ class DecodePool(Closing):
         self._slots: dict[str, _Slot] = {}
         self._changed = threading.Condition()
         self._workers = ThreadPoolExecutor(workers, "decode")
+        self._builder = ThreadPoolExecutor(1, "build decoders")
 
     def add(self, slot: str, avatar: Avatar) -> None:
-        """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
-        worker."""
+        """Prepare a slot for an avatar; replaces what was there."""
         with self._changed:
             self._slots[slot] = entry = _Slot(slot, avatar)
             self._line_up(entry)
@@ -114,14 +116,15 @@ class DecodePool(Closing):
         return found
 
     def wait_idle(self, timeout_s: float) -> bool:
-        """Wait until nothing is waiting or under way; False when the time runs out first."""
+        """Wait until no decode is waiting or under way; False when the time runs out first."""
         with self._changed:
             return self._changed.wait_for(self._is_idle, timeout_s)
 
     def close(self) -> None:
-        """Stop the workers and wait for them; what waits is dropped."""
+        """Stop the threads and wait for them; what waits is dropped."""
         with self._changed:
             self._slots.clear()
+        self._builder.shutdown(cancel_futures=True)
         self._workers.shutdown(cancel_futures=True)
 
     def _is_idle(self) -> bool:
@@ -129,53 +132,62 @@ class DecodePool(Closing):
 
     def _line_up(self, entry: _Slot) -> None:
         """Give a slot a turn after those who wait already; under the lock."""
+        if not self._slots:  # closed
+            return
         entry.is_busy = True
-        self._workers.submit(self._take_turn, entry)
+        asked, decoder = entry.request, entry.decoder
+        if decoder is not None and asked is not None and decoder.has(asked.level, asked.parts):
+            self._workers.submit(self._take_turn, entry, decoder)
+        else:
+            entry.lacks_session = True
+            self._builder.submit(self._build)
 
-    def _take_turn(self, entry: _Slot) -> None:
+    def _build(self) -> None:
+        """Build what a slot waits for, else one session that has not been asked for yet."""
         with self._changed:
-            request, entry.request = entry.request, None
-            submitted_s = entry.submitted_s
+            waiting = [entry for entry in self._slots.values() if entry.lacks_session]
+            entry = next(iter(waiting or filter(_may_build_ahead, self._slots.values())), None)
+            if entry is None:
+                return
+            is_asked, entry.lacks_session = entry.lacks_session, False
+            asked = entry.request
         results = []
         try:
             if entry.decoder is None:
                 entry.decoder = self._make_decoder(entry.avatar)
-            if request is not None:
-                results = [self._decode(entry, entry.decoder, request, submitted_s)]
-        except Exception as error:  # one avatar's failure must not end the worker of all
-            entry.is_broken = True
-            results = [DecodeResult(entry.name, None, " ".join(str(error).split())[:300])]
+            if not is_asked:
+                entry.has_all = not entry.decoder.prepare_next()
+            elif asked is not None:
+                entry.decoder.prepare(asked.level, asked.parts)
+        except Exception as error:  # one avatar's failure must not end the thread of all
+            entry.has_all = True  # what fails ahead fails again when it is asked for
+            results = [_broken(entry, error)] if is_asked else []
+        if is_asked:
+            self._end_turn(entry, results)
+        with self._changed:
+            if self._slots:
+                self._builder.submit(self._build)
+
+    def _take_turn(self, entry: _Slot, decoder: OnnxDecoder) -> None:
+        with self._changed:
+            request, entry.request = entry.request, None
+            submitted_s = entry.submitted_s
+        assert request is not None  # a turn begins with one, and takes it alone
+        try:
+            result = self._decode(entry, decoder, request, submitted_s)
+        except Exception as error:
+            result = _broken(entry, error)
+        self._end_turn(entry, [result])
+
+    def _end_turn(self, entry: _Slot, results: list[DecodeResult]) -> None:
+        """Keep results, and line a slot up again if it was asked for meanwhile."""
         with self._changed:
             entry.results += results
-            self._end_turn(entry)
-        self._prepare_ahead()
-
-    def _end_turn(self, entry: _Slot) -> None:
-        """Line a slot up again if it was asked for meanwhile; under the lock."""
-        entry.is_busy = False
-        is_there = self._slots.get(entry.name) is entry and not entry.is_broken
-        if entry.request is not None and is_there:
-            self._line_up(entry)
-        self._changed.notify_all()
-
-    def _prepare_ahead(self) -> None:
-        """Let decoders get ready for further levels until one is asked for a decode."""
-        while (entry := self._next_unready()) is not None:
-            is_ready = True
-            with suppress(Exception):  # what fails here fails again when it is asked for
-                is_ready = entry.decoder is None or not entry.decoder.prepare_next()
-            with self._changed:
-                entry.is_ready = is_ready
-                self._end_turn(entry)
-
-    def _next_unready(self) -> _Slot | None:
-        """A slot that is not ready for all levels, and busy from now on; None while one waits."""
-        with self._changed:
-            for entry in self._slots.values() if self._is_idle() else ():
-                if not (entry.is_ready or entry.is_broken or entry.decoder is None):
-                    entry.is_busy = True
-                    return entry
-        return None
+            entry.is_busy = False
+            is_there = self._slots.get(entry.name) is entry and not entry.is_broken
+            if entry.request is not None and is_there:
+                self._line_up(entry)
+            self._changed.notify_all()
 
     def _decode(
         self, entry: _Slot, decoder: OnnxDecoder, request: DecodeRequest, submitted_s: float
@@ -185,3 +197,12 @@ class DecodePool(Closing):
         maps = decoder.decode(request.latent, request.view_direction, request.level, request.parts)
         times_s = (submitted_s, started_s, self._clock())
         return DecodeResult(entry.name, maps, None, request.captured_us, *times_s, request.parts)
+
+
+def _may_build_ahead(entry: _Slot) -> bool:
+    return not (entry.decoder is None or entry.has_all or entry.is_broken)
+
+
+def _broken(entry: _Slot, error: Exception) -> DecodeResult:
+    entry.is_broken = True
+    return DecodeResult(entry.name, None, " ".join(str(error).split())[:300])

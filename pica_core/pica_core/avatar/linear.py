@@ -99,18 +99,31 @@ def components_of(
 ) -> FloatArray:
     """What a unit of each weight moves, regions put together again, metres: float32 ``[K, V, 3]``
     of the vertices with these numbers, or of all places of the sheet."""
-    flat = _movements(tensors, scale_m * tensors[f"{PREFIX}mix"])
-    chosen = flat if vertices is None else flat[vertices]
+    mix_m = scale_m * tensors[f"{PREFIX}mix"]
+    if vertices is None:
+        chosen = _movements(tensors, mix_m)
+    else:
+        chosen = np.empty((len(vertices), POSITION_CHANNELS, mix_m.shape[1]), np.float32)
+        basis, regions = tensors[f"{PREFIX}basis"], vertices // REGION
+        for region, part in enumerate(_parts(tensors)):
+            here = np.flatnonzero(regions == region)
+            moved = basis[part][:, vertices[here] % REGION]
+            chosen[here] = np.tensordot(moved, mix_m[part], axes=(0, 0))
     return np.ascontiguousarray(chosen.transpose(2, 0, 1), np.float32)
+
+
+def _parts(tensors: Mapping[str, Array]) -> list[slice]:
+    """The directions of each region."""
+    ends = np.cumsum(tensors[RANK]).tolist()
+    return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
 def _movements(tensors: Mapping[str, Array], mix_m: Array) -> FloatArray:
     """What a unit of each column of a mix ``[L, C]`` moves each place: ``[R * REGION, 3, C]``."""
-    ends = np.cumsum(tensors[RANK])
-    starts, basis = ends - tensors[RANK], tensors[f"{PREFIX}basis"]
-    whole = np.zeros((len(starts), REGION, POSITION_CHANNELS, mix_m.shape[1]), np.float32)
-    for row, (start, end) in enumerate(zip(starts, ends, strict=True)):
-        whole[row] = np.tensordot(basis[start:end], mix_m[start:end], axes=(0, 0))
+    basis, parts = tensors[f"{PREFIX}basis"], _parts(tensors)
+    whole = np.zeros((len(parts), REGION, POSITION_CHANNELS, mix_m.shape[1]), np.float32)
+    for row, part in enumerate(parts):
+        whole[row] = np.tensordot(basis[part], mix_m[part], axes=(0, 0))
     return whole.reshape(-1, POSITION_CHANNELS, mix_m.shape[1])
 
 

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,9 @@ class Echo:
 
     def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
         """It needs nothing."""
+
+    def has(self, level: int | None, parts: Parts) -> bool:
+        return True
 
     def prepare_next(self) -> bool:
         self.num_ahead += 1
@@ -146,22 +150,54 @@ def test_results_that_nobody_has_taken_yet_come_once_and_in_order() -> None:
         assert pool.take_results() == []
 
 
-def test_workers_get_ready_for_all_levels_while_nobody_waits() -> None:
-    gate, echo = Gate(), Echo()
-    decoders = iter([gate, echo])
+@pytest.mark.parametrize("step", ["has", "prepare_next"])
+def test_faces_are_decoded_while_sessions_of_another_avatar_are_built(step: str) -> None:
+    """Building takes as long as a few images."""
+
+    class Slow(Gate):
+        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
+            if step == "has":
+                self.wait()
+
+        def has(self, level: int | None, parts: Parts) -> bool:
+            return step != "has" or self.opened.is_set()
+
+        def prepare_next(self) -> bool:
+            self.wait()
+            return super().prepare_next()
+
+        def wait(self) -> None:
+            self.entered.set()
+            assert self.opened.wait(PATIENCE_S)
+
+    slow, echo = Slow(), Echo()
+    decoders = iter([echo, slow])
     with DecodePool(lambda avatar: next(decoders)) as pool:
-        pool.add("first", TOY)
-        pool.submit("first", request(1))
-        assert gate.entered.wait(PATIENCE_S)
         pool.add("a", TOY)
-        pool.submit("a", request(2))
-        assert echo.num_ahead == 0
-        gate.opened.set()
+        pool.submit("a", request(1))
         assert pool.wait_idle(PATIENCE_S)
-        assert (gate.num_ahead, echo.num_ahead) == (3, 3)
+        pool.add("slow", TOY)
+        if step == "has":
+            pool.submit("slow", request(2))
+        assert slow.entered.wait(PATIENCE_S)
         pool.submit("a", request(3))
+        while [value for value, _ in echo.decoded] != [1, 3]:
+            assert not slow.opened.wait(0.01)
+        slow.opened.set()
         assert pool.wait_idle(PATIENCE_S)
-    assert (gate.num_ahead, echo.num_ahead) == (3, 3)
+    assert [value for value, _ in slow.decoded] == ([2] if step == "has" else [])
+
+
+def test_sessions_of_all_levels_are_built_before_they_are_asked_for() -> None:
+    decoders = [Echo(), Echo()]
+    with DecodePool(lambda avatar: decoders[avatar is LEVELLED]) as pool:
+        for slot, avatar in (("a", TOY), ("b", LEVELLED)):
+            pool.add(slot, avatar)
+        for _ in range(round(PATIENCE_S / 0.01)):
+            if (done := [echo.num_ahead for echo in decoders]) == [3, 3]:
+                break
+            time.sleep(0.01)
+    assert done == [3, 3]
 
 
 def test_building_a_session_does_not_count_as_decoding() -> None:
