@@ -127,6 +127,14 @@ class _Peer:
     on_leave: ExitStack = field(default_factory=ExitStack)
     """Gives back what the decode pool and the renderer hold of it."""
 
+    @property
+    def is_asked_for(self) -> bool:
+        """Whether its maps show the face that was taken, or will; else a newer one is better."""
+        head = self.head
+        if head is None or head.asked is None:
+            return False
+        return head.asked.latent is head.latent or head.latent_change == 0
+
     def is_speaking(self, now: float) -> bool:
         """Whether its voice says that it speaks, or its jaw where there is no voice."""
         if self.heard_s is None:
@@ -205,7 +213,7 @@ class AvatarPresenter:
         resting = {
             peer_id
             for peer_id, entry in self._peers.items()
-            if turns[peer_id] == entry.turn and self._is_waiting(entry, now)
+            if turns[peer_id] == entry.turn and self._is_waiting(entry, now) and entry.is_asked_for
         }
         faces = self._source.faces(now, self._ahead_s, resting)
         width, height = size
@@ -317,7 +325,8 @@ class AvatarPresenter:
         dressed = []
         for placement in scene.placements:
             entry = self._peers[placement.slot]
-            if entry.drawn is not None and entry.is_awaited and self._is_waiting(entry, scene.now):
+            is_late = entry.is_awaited or not entry.is_asked_for
+            if entry.drawn is not None and is_late and self._is_waiting(entry, scene.now):
                 # Its pose waits for its face: it is drawn once for both.
                 matrix = entry.drawn.world_from_head
                 placement = replace(placement, world_from_head=matrix)

@@ -25,7 +25,8 @@ TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64
 class MovingFaces:
     """Two people whose faces and heads are never still, but for those who rest."""
 
-    def __init__(self) -> None:
+    def __init__(self, pace: float = 1.0) -> None:
+        self.pace = pace
         self.taken_s = {"p1": 0.0, "p2": 0.0}
 
     def faces(
@@ -37,7 +38,8 @@ class MovingFaces:
                 peer_id=peer_id,
                 name="Ada",
                 avatar_id="5" * 64,
-                latent=np.full((8, 8, 4), taken_s, np.float32),
+                latent=np.full((8, 8, 4), self.pace * taken_s, np.float32),
+                captured_us=round(1e6 * taken_s),
                 rotation=np.array([0, 0.1 * taken_s, 0], np.float32),
             )
             for peer_id, taken_s in self.taken_s.items()
@@ -72,3 +74,24 @@ def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
     context.release()
     assert len(seen["p1"]) == 30
     assert num_faces <= len(seen["p2"]) <= num_faces + 2
+
+
+@pytest.mark.parametrize("pace", [0.2, 1.0])
+def test_a_face_that_waits_for_its_decode_is_the_newest_by_then(pace: float) -> None:
+    """Whether a change is too small to be decoded at once, or drawing leaves no time for it."""
+    context = create_context()
+    ages_us = []
+    with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
+        presenter = AvatarPresenter(
+            MovingFaces(pace), renderer, pool, Scheduler(), levels=lambda: {"p1": 0, "p2": 127}
+        )
+        for image in range(31):
+            now = 1 + image / 30
+            scene = presenter.arrange(now, (160, 90))
+            presenter.decide(scene, (scene.camera,), 0.0)
+            pool.wait_idle(10.0)
+            faces = [result for result in pool.take_results() if result.parts == "both"]
+            ages_us += [round(1e6 * now) - face.captured_us for face in faces]
+    context.release()
+    assert len(ages_us) >= 8
+    assert max(ages_us) <= 1
