@@ -25,12 +25,7 @@ FLAGS = (
 
 
 class Tab:
-    """One page of the browser.
-
-    Attributes:
-        requests: All addresses that it has asked for.
-        complaints: What its console and its security policy said.
-    """
+    """One page of the browser; `complaints` are what its console and its security policy said."""
 
     def __init__(self, websocket: ClientConnection) -> None:
         self._websocket = websocket

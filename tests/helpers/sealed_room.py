@@ -35,13 +35,7 @@ class Member:
 
 
 class Room:
-    """Everybody, the clock, and what is under way.
-
-    Attributes:
-        now: The clock; `run` moves it.
-        whispers: All that were ever sent, in order.
-        fate: Says how often a whisper arrives: 0 is lost.
-    """
+    """Everybody, the clock, which `run` moves, and all whispers; `fate`: how often one arrives."""
 
     def __init__(self, fate: Callable[[Whispered], int] = lambda whispered: 1) -> None:
         self.now = 100.0

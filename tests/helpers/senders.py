@@ -40,14 +40,7 @@ def make_senders(
     config: SenderConfig,
     sources: Sequence[Source] | None = None,
 ) -> list[Sender]:
-    """One sender per link, avatars and sources dealt in turn.
-
-    Args:
-        links: Where each connects, and as whom.
-        avatars: Hash and avatar, at least one.
-        config: Rate and duration of all.
-        sources: What they play; `DEFAULT_SOURCES` by default.
-    """
+    """One sender per link; avatars, each with its hash, and sources are dealt in turn."""
     played = sources or [open_source(text) for text in peer_sources(None, len(links))]
     senders = []
     for index, link in enumerate(links):
@@ -58,11 +51,8 @@ def make_senders(
 
 
 async def run_senders(senders: Sequence[Sender]) -> list[dict[str, Any]]:
-    """Run all until each is done; the first that fails ends the others.
-
-    Returns:
-        Their statistics, in order.
-    """
+    """Run all until each is done, and give their statistics; the first that fails ends the
+    others."""
     async with asyncio.TaskGroup() as tasks:
         for sender in senders:
             tasks.create_task(sender.run())

@@ -16,13 +16,8 @@ from pica_core.train.export import avatar_tensors
 
 
 def toy_prior(*, dense: int = 16, tracked: int = 9, scale_m: float = 0.005) -> FacePrior:
-    """The toy's head as a mean face, with two grids over the same UV square.
-
-    Args:
-        dense: Rows and columns of the dense mesh.
-        tracked: The same of the tracked mesh.
-        scale_m: Unit of decoded offsets.
-    """
+    """The toy's head as a mean face, with two grids of so many rows over the same UV square;
+    decoded offsets are in units of `scale_m`."""
     texel = (np.arange(MAP_SIZE, dtype=np.float32) + 0.5) / MAP_SIZE
     tracked_uv = grid_uv(tracked)
     position_mean = head_surface(*np.meshgrid(texel, texel))

@@ -294,14 +294,8 @@ TRICKS: tuple[Callable[[Foe, float], None], ...] = (
 
 
 def run(seed: int) -> Counter[str]:
-    """Hold one call.
-
-    Returns:
-        What was tried, by trick, and with which codes the foes were closed.
-
-    Raises:
-        BrokenPromiseError: Something happened that must not; says the seed.
-    """
+    """Hold one call; count what was tried, by trick, and with which codes the foes were closed.
+    BrokenPromiseError says the seed."""
     rng = random.Random(seed)
     hub = Hub(CONFIG, admitted, new_secret=lambda: f"{rng.getrandbits(128):032x}")
     now = 100.0

@@ -447,11 +447,7 @@ TRICKS: tuple[Callable[[World, Line], None], ...] = (
 
 
 def run(seed: int) -> Counter[str]:
-    """Let two to four people meet on a relay, and count what happened.
-
-    Raises:
-        BrokenPromiseError: See above.
-    """
+    """Let two to four people meet on a relay, and count what happened."""
     chance = random.Random(f"run/{seed}")
     world = World(seed, num_people=chance.choice((2, 3, 3, 4)))
     world.malice = chance.choice((0.0, 0.2, 0.5, 0.9))

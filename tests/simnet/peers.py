@@ -23,14 +23,8 @@ FACE = Track(kind="face", avatar="ab" * 32)
 
 
 class WirePeer:
-    """One member of a room, with everything it was told.
-
-    Attributes:
-        websocket: The real websocket, to misbehave with.
-        session: The real session.
-        events: What came, in order.
-        arrivals: Of each frame: when it came, and the frame.
-    """
+    """One member of a room, by a real session on a real websocket; `arrivals` are the frames among
+    its `events`, each with when it came."""
 
     def __init__(self, websocket: ClientConnection, session: ClientSession) -> None:
         self.websocket = websocket
