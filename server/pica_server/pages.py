@@ -201,7 +201,14 @@ class WebPage:
         self._files = dict(files)
         digest = hashlib.sha256(repr(sorted(self._files.items())).encode()).hexdigest()
         self._folder = f"web-{digest[:16]}/"
-        self._index = self._files.pop("index.html", "").replace(f'"{FOLDER}', f'"{self._folder}')
+        # All modules that the first picture needs are asked for at once, not one behind the other.
+        links = "".join(
+            f'<link rel="modulepreload" href="{FOLDER}{name}" />\n'
+            for name in sorted(self._files)
+            if name.endswith(".js") and name not in ("face.js", "worklet.js")
+        )
+        index = self._files.pop("index.html", "").replace("</head>", f"{links}</head>")
+        self._index = index.replace(f'"{FOLDER}', f'"{self._folder}')
 
     def answer(self, path: str, host: str) -> Page | None:
         """Return the page for ``/`` and each name of a room, its files, and None for all else.

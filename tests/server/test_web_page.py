@@ -40,6 +40,14 @@ def test_files_are_kept_for_good_under_a_name_that_changes_with_them() -> None:
     assert folders[0] != folders[1]
 
 
+def test_modules_are_asked_for_at_once_but_those_that_come_later() -> None:
+    page = WebPage({**FILES, "index.html": "<head></head>", "face.js": "", "draw.js": ""})
+    index = page.answer("/", "relay.example")
+    assert index is not None
+    found = re.findall(r'<link rel="modulepreload" href="web-\w+/(.*?)" />', index.text)
+    assert found == ["draw.js", "main.js"]
+
+
 @pytest.mark.parametrize("host", ["relay.example:8765", "[::1]:8765", "evil; script-src *", ""])
 def test_the_page_may_connect_to_its_relay_alone(host: str) -> None:
     page = WebPage(FILES).answer("/", host)

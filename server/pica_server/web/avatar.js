@@ -83,10 +83,12 @@ export class Avatar {
   floats(name, size = 0) {
     const affine = this._affine[name];
     const found = new Float32Array(this.integers(name, size));
-    if (!affine) return found;
-    const { offset } = affine;
-    const scale = affine.scale.map(Math.fround);
-    return found.map((code, at) => offset[at % scale.length] + scale[at % scale.length] * code);
+    affine?.scale.forEach((scale, channel, { length }) => {
+      for (let at = channel; at < found.length; at += length) {
+        found[at] = affine.offset[channel] + Math.fround(scale) * found[at];
+      }
+    });
+    return found;
   }
 
   /** Triangles of a level. @param {number} level */
@@ -150,15 +152,24 @@ export class Avatar {
 }
 
 /** The vertices that triangles have, ascending. @param {Uint32Array} faces */
-export const verticesOf = (faces) => Uint32Array.from(new Set(faces)).sort();
+export function verticesOf(faces) {
+  const isUsed = new Uint8Array(MAX_VERTICES);
+  faces.forEach((vertex) => (isUsed[vertex] = 1));
+  /** @type {number[]} */
+  const found = [];
+  isUsed.forEach((is, vertex) => is && found.push(vertex));
+  return Uint32Array.from(found);
+}
 
 /** The triangles that pass. @param {Uint32Array} faces
  * @param {(a: number, b: number, c: number) => boolean} passes */
 export function filterFaces(faces, passes) {
-  return faces.filter((_, at) => {
-    const first = at - (at % 3);
-    return passes(faces[first], faces[first + 1], faces[first + 2]);
-  });
+  const found = [];
+  for (let at = 0; at < faces.length; at += 3) {
+    const [a, b, c] = [faces[at], faces[at + 1], faces[at + 2]];
+    if (passes(a, b, c)) found.push(a, b, c);
+  }
+  return Uint32Array.from(found);
 }
 
 /**

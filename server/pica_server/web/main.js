@@ -16,9 +16,9 @@ const room = decodeURIComponent(location.pathname.split("/").pop() ?? "")
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 /** @param {string} name Of a file that the relay made beside the modules. */
 const load = async (name) => (await fetch(new URL(name, import.meta.url))).json();
-const shaders = load("shaders.json");
-/** Only one, for a browser lends out few contexts. @type {Picture | null} */
-let picture = null;
+/** Only one, for a browser lends out few contexts; got ready while the form is filled in. */
+const picture = load("shaders.json")
+  .then((texts) => new Picture(element("picture"), texts, tile !== null));
 
 /** One clear line, in the form. @param {unknown} problem */
 function complain(problem) {
@@ -34,13 +34,10 @@ async function enter(name, avatarId) {
     ?? "", name, avatarId });
   element("join").hidden = true;
   element("call").hidden = false;
-  try {
-    picture ??= new Picture(element("picture"), await shaders, tile !== null);
-  } catch (error) {
+  const drawn = await picture.catch((error) => {
     call.leave();
     throw error;
-  }
-  const drawn = picture;
+  });
   const view = new CallView(call, drawn);
   if (tile === null) void call.voice.start();
   const frame = () => {
@@ -49,13 +46,19 @@ async function enter(name, avatarId) {
       complain(call.status.reason || "You left the call.");
       return;
     }
-    requestAnimationFrame(frame);
     const people = call.participants.filter((person) => tile === null || person.name === tile);
     view.wanted.isCalm = calm.matches;
     const wanted = tile === null ? view.wanted
       : { ...view.wanted, layout: /** @type {const} */ ("grid"), self: null, free: 0 };
-    const labels = drawn.draw(people, wanted, performance.now() / 1000);
-    if (labels && tile === null) view.place(labels);
+    try {
+      const labels = drawn.draw(people, wanted, performance.now() / 1000);
+      if (labels && tile === null) view.place(labels);
+      requestAnimationFrame(frame);
+    } catch (error) {
+      call.leave();
+      view.close();
+      complain(error);
+    }
   };
   frame();
 }
@@ -87,6 +90,7 @@ function begin() {
   const avatar = element("avatar");
   name.value = remembered();
   element("join").hidden = false;
+  picture.catch(complain);
   // One may join without.
   load("avatars.json").then((ids) => {
     avatar.append(...Object.entries(ids).map(([text, id]) => new Option(text, id)));
