@@ -7,9 +7,6 @@
 const ATTRIBUTES = ["vertex_place", "vertex_uv", "vertex_xyz_m", "vertex_opacity"];
 const KINDS = ["float", "int", "sampler2D", "sampler2DArray", "usampler2DArray"];
 
-/** What this browser and GPU cannot draw with. */
-export class DrawError extends Error {}
-
 /**
  * A context, its formats and what is compiled once.
  * @param {WebGL2RenderingContext} gl @param {Record<string, string>} texts Shaders by name.
@@ -18,7 +15,7 @@ export class DrawError extends Error {}
 export function openGraphics(gl, texts, onlyHalfs = false) {
   const hasFloats = gl.getExtension("EXT_color_buffer_float") !== null && !onlyHalfs;
   if (!hasFloats && !gl.getExtension("EXT_color_buffer_half_float") && !onlyHalfs) {
-    throw new DrawError(
+    throw new Error(
       "this browser's graphics cannot draw floating-point numbers; try another browser");
   }
   const isFiltered = hasFloats && gl.getExtension("OES_texture_float_linear");
@@ -35,7 +32,7 @@ export function openGraphics(gl, texts, onlyHalfs = false) {
     /** @type {(file: string) => string} */
     const included = (file) => {
       const text = file === "siren.glsl" ? generated : texts[file];
-      if (text === undefined) throw new DrawError(`shader ${file} is missing on the relay`);
+      if (text === undefined) throw new Error(`shader ${file} is missing on the relay`);
       return text.replace(/^#include "([^"]*)".*$/gm, (_, other) => included(other));
     };
     const header = KINDS.map((kind) => `precision highp ${kind};`);
@@ -49,7 +46,7 @@ export function openGraphics(gl, texts, onlyHalfs = false) {
     if (!gl.getProgramParameter(handle, gl.LINK_STATUS) && !gl.isContextLost()) {
       const logs = (gl.getAttachedShaders(handle) ?? []).map((each) => gl.getShaderInfoLog(each));
       const log = [...logs, gl.getProgramInfoLog(handle)].find(Boolean);
-      throw new DrawError(`the graphics driver refuses a shader: ${log ?? "no reason given"}`);
+      throw new Error(`the graphics driver refuses a shader: ${log ?? "no reason given"}`);
     }
     gl.useProgram(handle);
     /** @type {Setters} */

@@ -43,12 +43,14 @@ export function openBody(graphics, programs, avatar, decoder) {
    * @param {(vertex: number) => number[]} numbers */
   function triangles(faces, layout, numbers) {
     const places = new Uint32Array(avatar.numVertices);
-    const corners = Array.from(verticesOf(faces), (vertex, place) => {
+    const used = verticesOf(faces);
+    const size = layout.reduce((sum, [, each]) => sum + each, 0);
+    const corners = new Float32Array(size * used.length);
+    used.forEach((vertex, place) => {
       places[vertex] = place;
-      return numbers(vertex);
+      corners.set(numbers(vertex), size * place);
     });
-    return graphics.triangles(faces.map((vertex) => places[vertex]),
-      Float32Array.from(corners.flat()), layout);
+    return graphics.triangles(faces.map((vertex) => places[vertex]), corners, layout);
   }
 
   /** Triangles at rest. @param {Uint32Array} faces */
@@ -57,43 +59,37 @@ export function openBody(graphics, programs, avatar, decoder) {
     avatar.part(vertex) === 2 ? 1 : 0,
   ]);
 
-  /** @type {(level: number) => Triangles} */
-  function openDecoded(level) {
+  /** Triangles that are decoded. @param {number} level @param {Uint32Array} faces */
+  function moving(level, faces) {
     const sheet = avatar.sheetVertices(level);
     const slots = new Uint32Array(avatar.numVertices);
     sheet.forEach((vertex, slot) => (slots[vertex] = slot));
     const rows = Math.ceil(sheet.length / level);
-    return triangles(seen(level, "decoded"), [["vertex_place", 2], ["vertex_uv", 2]], (vertex) => [
+    return triangles(faces, [["vertex_place", 2], ["vertex_uv", 2]], (vertex) => [
       ((slots[vertex] % level) + 0.5) / level, (Math.floor(slots[vertex] / level) + 0.5) / rows,
       vertexUv[2 * vertex], vertexUv[2 * vertex + 1],
     ]);
-  }
-
-  /** @type {(level: number) => Triangles | null} */
-  function openTextured(level) {
-    const faces = seen(level, "textured");
-    return faces.length ? atRest(faces) : null;
   }
 
   /** The triangles of a level that are decoded, or those that have a texture, if some have.
    * @type {(level: number, kind: "decoded" | "textured") => Triangles | null} */
   function mesh(level, kind) {
     const key = `${level} ${kind}`;
-    if (!meshes.has(key)) meshes.set(key, (kind === "decoded" ? openDecoded : openTextured)(level));
+    const faces = meshes.has(key) ? null : seen(level, kind);
+    if (faces) meshes.set(key, kind === "decoded" ? moving(level, faces) : atRest(faces));
     return meshes.get(key) ?? null;
   }
 
   /** Corners of a box that holds all that is drawn: what is still as it is, the rest with slack. */
   function outline() {
+    const kinds = [seen(MAP_SIZE, "textured"), seen(MAP_SIZE, "decoded")];
     const sides = [0, 1, 2].map((axis) => {
       let [least, most] = [Infinity, -Infinity];
-      for (const kind of /** @type {const} */ (["textured", "decoded"])) {
-        const slack = kind === "decoded" ? SLACK_M : 0;
-        for (const vertex of seen(MAP_SIZE, kind)) {
-          least = Math.min(least, restM[3 * vertex + axis] - slack);
-          most = Math.max(most, restM[3 * vertex + axis] + slack);
-        }
-      }
+      kinds.forEach((faces, isDecoded) => faces.forEach((vertex) => {
+        const place = restM[3 * vertex + axis];
+        least = Math.min(least, place - isDecoded * SLACK_M);
+        most = Math.max(most, place + isDecoded * SLACK_M);
+      }));
       const floor = axis === 1 ? Math.max(low[axis], goneM) : low[axis];
       return [Math.max(least, floor), Math.min(most, high[axis])];
     });

@@ -36,12 +36,11 @@ const TABLES = [
   6, 5, 5, 0, 5, 1, 6, 1, 4, 1, 6, 6, 1, 3, 5, 1, 6, 1, 2,
   8, 8, 8, 9, 9, 9, ...Array(NUM_LATENT).fill(4),
 ];
-/** Which coefficient predicts each; -1 is none. */
-const FIRST = [
-  -1, -1, -1, -1, -1, -1, -1, 0, 1, 3, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 23, -1,
-  25, -1, 27, -1, 29, -1, -1, -1, -1, -1, 35, -1, 37, -1, 39, -1, 41, -1, -1, 44, -1, -1, 47, -1,
-  49, -1, ...Array(6 + NUM_LATENT).fill(-1),
-];
+/** Which coefficient predicts each, where one does. @type {Record<number, number>} */
+const FIRST = {
+  7: 0, 8: 1, 9: 3, 10: 2, 11: 4, 12: 5, 13: 6, 24: 23, 26: 25, 28: 27, 30: 29, 36: 35, 38: 37,
+  40: 39, 42: 41, 45: 44, 48: 47, 50: 49,
+};
 const LENGTH_TABLES = [
   [15635, 410, 147, 94, 53, 22, 14, 1, 1, 1, 1, 1, 1, 1, 1, 1],
   [14973, 910, 269, 100, 74, 41, 8, 1, 1, 1, 1, 1, 1, 1, 1, 1],
@@ -139,10 +138,10 @@ export function decodeFrame(payload) {
   const header = reader.symbol(HEADER_TABLE);
   /** @type {number[]} */
   const numbers = [];
-  FIRST.slice(0, header & HAS_REST ? FIRST.length : NUM_DRIVEN).forEach((first, place) => {
-    const start = numbers[first] ?? 0;
+  TABLES.slice(0, header & HAS_REST ? TABLES.length : NUM_DRIVEN).forEach((table, place) => {
+    const start = numbers[FIRST[place]] ?? 0;
     const isCoded = place >= NUM_DRIVEN || header & (place < NUM_ARKIT ? HAS_FACE : HAS_POSE);
-    const length = isCoded ? reader.symbol(LENGTH_TABLES[TABLES[place]]) : 0;
+    const length = isCoded ? reader.symbol(LENGTH_TABLES[table]) : 0;
     if (!length) return numbers.push(start);
     const sign = isSigned(place) && reader.uniform(1) ? -1 : 1;
     return numbers.push(start + sign * (2 ** (length - 1) + reader.uniform(length - 1)));
@@ -228,7 +227,7 @@ function bitsOf(place, ahead) {
 }
 
 /** @type {(place: number) => boolean} */
-const isSigned = (place) => place >= NUM_ARKIT || FIRST[place] >= 0;
+const isSigned = (place) => place >= NUM_ARKIT || place in FIRST;
 /** @param {number} quality */
 const stepsOf = (quality) =>
   USUAL_STEPS.map((step) => Math.max(Math.floor((step * FINENESS[quality]) / 16), 1));

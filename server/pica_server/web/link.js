@@ -190,13 +190,9 @@ export class Link {
     }, Math.max(this.toldS + TELL_INTERVAL_S - seconds(), 0) * 1000);
   }
 
-  /**
-   * Give a frame of ours its number; null: it is not to be sent.
-   * @param {"face" | "voice"} kind Of its track. @param {Uint8Array} payload @param {number}
-   * capturedUs
-   * @param {number} multiple The number is to be a multiple of it.
-   * @returns {Frame | null}
-   */
+  /** Give a frame of a track of ours its number, a multiple of one; null: it is not to be sent.
+   * @type {(kind: "face" | "voice", payload: Uint8Array, capturedUs: number, multiple: number) =>
+   * Frame | null} */
   number(kind, payload, capturedUs, multiple) {
     const place = this.tracks.findIndex((track) => track.kind === kind);
     const isFull = (this.socket?.bufferedAmount ?? 0) > MAX_WAITING_BYTES[kind];

@@ -20,8 +20,8 @@ const [LEAP_S, FASTER, SLOWER] = [0.25, 0.1, 0.25];
 const [LED_LEAP_S, LED_RATE] = [0.04, 1];
 const [SMOOTHING, MAX_STEP_S] = [0.1, 0.25];
 
-/** One plus the weighted other. @type {(one: Float32Array, other: Float32Array, weight: number) =>
- * Float32Array} */
+/** One plus the weighted other.
+ * @type {(one: Float32Array, other: Float32Array, weight: number) => Float32Array} */
 const added = (one, other, weight) => one.map((value, i) => value + weight * other[i]);
 /** @param {Float32Array} values */
 const largest = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
@@ -118,13 +118,9 @@ export class Playout {
     this.last = placed;
   }
 
-  /**
-   * The face to show next, or null before the first frame is due.
-   * @param {number} now
-   * @param {number | null} heardUs The moment, on the sender's clock, of the voice that is heard
-   * when
-   *     this face is seen. It leads.
-   */
+  /** The face to show next, or null before the first frame is due.
+   * @param {number} now @param {number | null} heardUs The moment, on the sender's clock, of the
+   * voice that is heard when this face is seen. It leads. */
   sampleAt(now, heardUs = null) {
     const { clock, timeline } = this;
     if (!clock.hasBegun || !timeline.frames.length) return null;
@@ -184,12 +180,9 @@ export class Playout {
     return { elapsedS, movedS: Math.max(this.positionS - beforeS, 0), isLeap: false };
   }
 
-  /**
-   * What is meant, plus what is left of the way from what was shown.
+  /** What is meant, plus what is left of the way from what was shown.
    * @param {Float32Array} meant @param {Float32Array | null} before What is meant now for the
-   * moment
-   *     that was shown, where that has changed. @param {number} elapsedS
-   */
+   * moment that was shown, where that has changed. @param {number} elapsedS */
   corrected(meant, before, elapsedS) {
     if (before && this.shown && !(this.shown === before && this.offset === null)) {
       const offset = added(this.shown, before, -1);

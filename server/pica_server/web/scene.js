@@ -5,7 +5,7 @@
 
 import { LEVELS } from "./avatar.js";
 import { openRenderer } from "./draw.js";
-import { DrawError, openGraphics } from "./gl.js";
+import { openGraphics } from "./gl.js";
 import { CostModel, Head, LISTENER_S, Scheduler, seeHeads } from "./schedule.js";
 import { HOME, headRect, nearing, orbitLimits, planCamera, planSeats, SHOULDERS_M,
   USUAL_SPAN } from "./seats.js";
@@ -204,12 +204,12 @@ export class Picture {
   /**
    * @param {HTMLCanvasElement} canvas @param {Record<string, string>} texts Of the shaders.
    * @param {boolean} isTile Without a room.
-   * @throws {DrawError} This browser cannot draw.
+   * @throws {Error} This browser cannot draw.
    */
   constructor(canvas, texts, isTile) {
     const gl = canvas.getContext("webgl2",
       { antialias: false, depth: false, powerPreference: "high-performance" });
-    if (!gl) throw new DrawError(
+    if (!gl) throw new Error(
       "This browser draws no 3D (WebGL 2): try a current Firefox, Chrome or Safari.");
     this.canvas = canvas;
     this.gl = gl;

@@ -119,10 +119,8 @@ export class Voice {
   /** From the clock of the audio thread to ours. */
   offsetS = 0;
 
-  /**
-   * @param {() => void} changed Called when `needsTap`, `isMuted` or `note` change.
-   * @param {(payload: Uint8Array, capturedUs: number) => void} send
-   */
+  /** @param {() => void} changed Called when `needsTap`, `isMuted` or `note` change.
+   * @param {(payload: Uint8Array, capturedUs: number) => void} send */
   constructor(changed, send) {
     this.changed = changed;
     this.send = send;
