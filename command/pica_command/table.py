@@ -101,7 +101,7 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
     },
     "This machine": {"doctor": Command("pica_client.cli.machine:doctor")},
     "Measurements": {
-        "bench call": Command("pica_client.cli.bench:bench_call", ("bench",)),
+        "bench call": Command("pica_client.bench.call:bench_call", ("bench",)),
         "bench claim": Command("pica_core.train.cli.train:bench_claim", ("train",)),
         "bench decode": Command("pica_client.cli.bench:bench_decode", ("bench",)),
         "bench drive": Command("pica_client.cli.bench:bench_drive", ("bench",)),

@@ -13,7 +13,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.call import BenchConfig, run_bench
+from pica_client.bench.call import BenchConfig, bench_call
 from pica_client.errors import CallProcessError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Children
@@ -116,7 +116,7 @@ def test_bad_input_of_a_part_is_bad_input_of_the_whole(children: Children) -> No
 
 def test_a_short_bench_decodes_every_peer_without_errors(avatar_file: Path) -> None:
     stage = LocalCallConfig(peers=2, avatar=str(avatar_file))
-    result = run_bench(BenchConfig(call=stage, seconds=1.5))
+    result = bench_call(BenchConfig(call=stage, seconds=1.5))
     json.dumps(result)
     assert (result["peers"], result["decoded_peers"], result["errors"]) == (2, 2, 0)
     assert set(result["bitrate_bps"]["Ada"]) == {"payload", "wire"}

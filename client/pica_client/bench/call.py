@@ -29,7 +29,7 @@ from pica_client.local_call.processes import Children
 from pica_client.playout.buffer import CEILING_S, FLOOR_S
 from pica_client.playout.sender_clock import WINDOW_S, Transit
 from pica_client.stats import describe_machine, summarise_ms
-from pica_client.system import say
+from pica_client.system import say, terminate_as_interrupt
 from pica_client.transport.connect import LinkConfig
 
 WARM_UP_S = WINDOW_S
@@ -108,17 +108,26 @@ class _Decoding:
             self.frames.append(_Frame(result.slot, captured_s, waited_s, result.finished_s))
 
 
-def run_bench(config: BenchConfig) -> dict[str, Any]:
-    """Hold the call and measure it.
+def bench_call(options: BenchConfig) -> dict[str, Any]:
+    """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
+
+    Reports the latency from source sample to decoded avatar, and bitrates.
 
     Raises:
         ClientError: A source, an avatar or a process is not as it must be; a call in which a
             sender crashed is no measurement.
     """
     library = AvatarLibrary()
-    with contextlib.closing(library), Children() as children:
-        local = local_call.LocalCall(config.call, library, children)
-        return asyncio.run(_measure(config, local, library))
+    with terminate_as_interrupt(), contextlib.closing(library), Children() as children:
+        local = local_call.LocalCall(options.call, library, children)
+        result = asyncio.run(_measure(options, local, library))
+    latency, alone = result["latency_ms"], result["without_playout_ms"]
+    say(
+        f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
+        f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms; without the "
+        f"playout's wait p50 {alone['p50']} ms, p99 {alone['p99']} ms"
+    )
+    return result
 
 
 async def _measure(

@@ -1,18 +1,16 @@
-"""The commands of `pica bench` that measure avatars and calls, each of which needs numpy."""
+"""The commands of `pica bench` that measure avatars."""
 
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
 from pica_client.bench.drive import DriveBenchConfig, run_drive_bench
 from pica_client.bench.harness import say_rows
 from pica_client.bench.scene import SceneBenchConfig, run_scene_bench
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.local_call.local_call import choose_avatars
-from pica_client.system import say, terminate_as_interrupt
 from pica_core.avatar.file import Avatar
 
 Result = dict[str, Any]
@@ -32,22 +30,6 @@ class AvatarChoice:
             return [
                 library.load(library.find(name)) for name in choose_avatars(self.avatar, library)
             ]
-
-
-def bench_call(options: BenchConfig) -> Result:
-    """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
-
-    Reports the latency from source sample to decoded avatar, and bitrates.
-    """
-    with terminate_as_interrupt():
-        result = run_bench(options)
-    latency, alone = result["latency_ms"], result["without_playout_ms"]
-    say(
-        f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
-        f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms; without the "
-        f"playout's wait p50 {alone['p50']} ms, p99 {alone['p99']} ms"
-    )
-    return result
 
 
 def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
