@@ -9,8 +9,10 @@ opaque where there is something. A triangle that is opaque in part is divided in
 ones, which are cut where opacity, linear between their corners, crosses the cutoff.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from struct import error as StructError
@@ -27,10 +29,8 @@ from pica_core.capture.rig.source import (
     RigSource,
     check_counts,
     check_source,
-    count_of,
     extension,
     opacity_at,
-    open_image,
 )
 from pica_core.errors import CaptureError
 from pica_core.types import (
@@ -116,6 +116,8 @@ def _clip(values: Float64Array, points: Float64Array, inside: list[bool]) -> Flo
 
 TRIANGLES = 4
 MAX_NODE_DEPTH = 64
+MAX_NODES, MAX_JOINTS, MAX_PIECES = 10_000, 2_000, 2_000
+"""Of a scene, of a skin, and primitives of all meshes (chosen: clothed bodies have hundreds)."""
 CLEAR = 0.5
 """Where a blended material is less opaque than this, it hides nothing."""
 MALFORMED = (
@@ -155,12 +157,13 @@ class _Placed:
 
     Attributes:
         places: Its node's transform ``[1, 4, 4]``, or those of its skin's joints ``[J, 4, 4]``.
+        skin: Number of its skin, or None.
         weights: How far each morph target is open at rest.
     """
 
     mesh: dict[str, Any]
     places: Float64Array
-    is_skinned: bool
+    skin: int | None
     weights: tuple[float, ...]
 
 
@@ -178,21 +181,32 @@ def _placed_meshes(file: GltfFile) -> Iterator[_Placed]:
         node = file.item("nodes", index)
         if index in worlds:
             raise CaptureError(f"{file.path}: node {index} has several parents; one is allowed")
+        if len(worlds) == MAX_NODES:
+            raise CaptureError(f"{file.path}: more than {MAX_NODES:,} nodes")
         worlds[index] = parent @ _matrix(node)
         stack += [(k, worlds[index], depth + 1) for k in node.get("children", [])]
+    joints = cache(partial(_joints, file, worlds))
     for index, place in worlds.items():
         node = file.item("nodes", index)
         if "mesh" not in node:
             continue
-        mesh, places = file.item("meshes", node["mesh"]), place[None]
-        if "skin" in node:  # the node's own transform counts for nothing
-            skin = file.item("skins", node["skin"])
-            places = np.stack([worlds.get(joint, np.eye(4)) for joint in skin["joints"]])
-            if "inverseBindMatrices" in skin:
-                inverse = file.accessor(skin["inverseBindMatrices"], 16).astype(np.float64)
-                places = places @ inverse.reshape(-1, 4, 4).swapaxes(1, 2)
+        mesh, skin = file.item("meshes", node["mesh"]), node.get("skin")
+        # The own transform of a node with a skin counts for nothing.
+        places = place[None] if skin is None else joints(skin)
         weights = tuple(map(float, node.get("weights", mesh.get("weights", []))))
-        yield _Placed(mesh=mesh, places=places, is_skinned="skin" in node, weights=weights)
+        yield _Placed(mesh=mesh, places=places, skin=skin, weights=weights)
+
+
+def _joints(file: GltfFile, worlds: dict[int, Float64Array], number: int) -> Float64Array:
+    """Where a skin's joints move what is stored. ``[J, 4, 4]``."""
+    skin = file.item("skins", number)
+    if (count := len(skin["joints"])) > MAX_JOINTS:
+        raise CaptureError(f"{file.path}: skin {number} has {count:,} joints; up to {MAX_JOINTS:,}")
+    places = np.stack([worlds.get(joint, np.eye(4)) for joint in skin["joints"]])
+    if "inverseBindMatrices" in skin:
+        inverse = file.accessor(skin["inverseBindMatrices"], 16, MAX_JOINTS).astype(np.float64)
+        places = places @ inverse.reshape(-1, 4, 4).swapaxes(1, 2)
+    return places
 
 
 def _target_names(
@@ -269,11 +283,7 @@ def _image(file: GltfFile, index: Any) -> ByteArray:
     if number is None:
         names = ", ".join(texture.get("extensions", {})) or "a source"
         raise CaptureError(f"{file.path}: a texture needs {names}, which is not read here")
-    image = file.item("images", number)
-    data = file.resource(image["uri"]) if "uri" in image else None
-    if data is None:
-        data = bytes(file.view(count_of(image, "bufferView"))[0])
-    return open_image(f"{file.path}: image {number}", data)
+    return file.image(number)
 
 
 class _Builder:
@@ -288,8 +298,8 @@ class _Builder:
         self.colours: list[Float64Array] = []
         self.faces: list[IntArray] = []
         self.material: list[IntArray] = []
-        self.targets: list[tuple[str, slice, FloatArray]] = []
-        self.count = 0
+        self.targets: deque[tuple[str, slice, FloatArray]] = deque()
+        self.count = self.num_faces = 0
         self.shared: dict[tuple[Any, ...], slice] = {}
 
     def add(self, placed: _Placed, primitive: dict[str, Any]) -> None:
@@ -309,7 +319,8 @@ class _Builder:
         names = _target_names(file, placed.mesh, primitive, len(targets))
         at = [target.get("POSITION") for target in targets]
         used = [attributes.get(name) for name in ("POSITION", look.uv, "COLOR_0", "JOINTS_0")]
-        move = placed.places.tobytes(), look.transform.tobytes(), look.colour.tobytes()
+        place = placed.places.tobytes() if placed.skin is None else placed.skin
+        move = place, look.transform.tobytes(), look.colour.tobytes()
         key = (*used, *at, *move, placed.weights)
         if key not in self.shared:
             self.shared[key] = self._add_vertices(
@@ -330,6 +341,8 @@ class _Builder:
         faces = (index.reshape(-1, 3) + span.start).astype(np.int32)
         is_mirrored = np.median(np.linalg.det(placed.places[:, :3, :3])) < 0
         self.faces.append(faces[:, ::-1] if is_mirrored else faces)
+        self.num_faces += len(faces)
+        check_counts(str(file.path), vertices=self.count, faces=self.num_faces, shapes=1)
         self.material.append(np.full(len(faces), number, np.int32))
 
     def _add_vertices(
@@ -350,7 +363,7 @@ class _Builder:
         span = slice(self.count, self.count + len(points))
         check_counts(str(file.path), vertices=span.stop, faces=1, shapes=max(len(targets), 1))
         place = placed.places[0]
-        if placed.is_skinned and "JOINTS_0" in attributes:
+        if placed.skin is not None and "JOINTS_0" in attributes:
             joints = same_count("joints", file.accessor(attributes["JOINTS_0"], 4))
             shares = same_count("weights", file.accessor(attributes["WEIGHTS_0"], 4))
             shares = shares.astype(np.float64) / np.maximum(shares.sum(1, keepdims=True), 1e-9)
@@ -382,19 +395,18 @@ class _Builder:
 def _read(file: GltfFile) -> RigSource:
     path = file.path
     builder = _Builder(file)
-    for placed in _placed_meshes(file):
-        for primitive in placed.mesh["primitives"]:
-            builder.add(placed, primitive)
+    pieces = ((each, part) for each in _placed_meshes(file) for part in each.mesh["primitives"])
+    for number, (placed, primitive) in enumerate(pieces, 1):
+        if number > MAX_PIECES:
+            raise CaptureError(f"{path}: more than {MAX_PIECES:,} primitives")
+        builder.add(placed, primitive)
     if not builder.faces:
         raise CaptureError(f"{path}: no triangles")
-    check_counts(
-        str(path),
-        vertices=builder.count,
-        faces=sum(map(len, builder.faces)),
-        shapes=len({name for name, _, _ in builder.targets}),
-    )
+    num_shapes = len({name for name, _, _ in builder.targets})
+    check_counts(str(path), vertices=builder.count, faces=builder.num_faces, shapes=num_shapes)
     shapes: dict[str, FloatArray] = {}
-    for name, span, delta in builder.targets:
+    while builder.targets:  # which are let go, one after the other
+        name, span, delta = builder.targets.popleft()
         shapes.setdefault(name, np.zeros((builder.count, 3), np.float32))[span] += delta
     material = np.concatenate(builder.material)
     names = [look.name for look in builder.materials]

@@ -16,6 +16,7 @@ which `gltf.read_rig` turns into a `CaptureError`.
 import base64
 import io
 import json
+import math
 import struct
 from dataclasses import dataclass, replace
 from functools import cache
@@ -114,8 +115,13 @@ MAX_ALBEDO_SIDE = 8192
 ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P", "PA")
 
 
-def open_image(where: str, data: bytes) -> ByteArray:
-    """A PNG, JPEG or WebP image as sRGB with alpha, row 0 on top. uint8 ``[H, W, 4]``."""
+MAX_IMAGE_PIXELS = 8192 * 8192
+"""Of all images of a rig together, 256 MB."""
+
+
+def open_image(where: str, data: bytes, max_pixels: int = MAX_IMAGE_PIXELS) -> ByteArray:
+    """A PNG, JPEG or WebP image as sRGB with alpha, row 0 on top; a larger one than `max_pixels`
+    as a half, a third ... of its size. uint8 ``[H, W, 4]``."""
     try:
         with Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as image:
             if max(image.size) > MAX_ALBEDO_SIDE:
@@ -127,7 +133,11 @@ def open_image(where: str, data: bytes) -> ByteArray:
                 raise CaptureError(
                     f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
                 )
-            return np.asarray(image.convert("RGBA"))
+            part = math.ceil(math.sqrt(image.width * image.height / max_pixels))
+            size = (max(image.width // part, 1), max(image.height // part, 1))
+            filters = Image.Resampling  # but for RGB, mixing pixels takes several copies
+            how = filters.BOX if image.mode == "RGB" else filters.NEAREST
+            return np.asarray((image.resize(size, how) if part > 1 else image).convert("RGBA"))
     except Image.DecompressionBombError as error:
         allowed = f"sides up to {MAX_ALBEDO_SIDE} are allowed"
         raise CaptureError(f"{where}: {error}; {allowed}") from error
@@ -192,6 +202,8 @@ class GltfFile:
                     "export without it"
                 )
         self.buffer = cache(self._buffer)
+        self.image = cache(self._image)
+        self._pixels_left = MAX_IMAGE_PIXELS
         self._beside = cache(read_bytes)
         self._beside_bytes = 0
 
@@ -246,6 +258,17 @@ class GltfFile:
         if index or self._binary is None:
             raise CaptureError(f"{self.path}: buffers {index} has no data")
         return self._binary
+
+    def _image(self, index: int) -> ByteArray:
+        """An image, of at most half of the pixels that are left for it and for all others."""
+        entry = self.item("images", index)
+        data = self.resource(entry["uri"]) if "uri" in entry else None
+        if data is None:
+            data = bytes(self.view(count_of(entry, "bufferView"))[0])
+        half = max(self._pixels_left // 2, 1)
+        image = open_image(f"{self.path}: image {index}", data, half)
+        self._pixels_left -= image.shape[0] * image.shape[1]
+        return image
 
     def view(self, index: int) -> tuple[memoryview, int]:
         """Content and stride of a buffer view; stride 0: one element after the other."""

@@ -208,6 +208,35 @@ def test_a_hostile_glb_is_refused(
         read_rig(path)
 
 
+def test_a_small_glb_that_unfolds_without_end_is_refused(tmp_path: Path) -> None:
+    document, binary = glb_parts(RIG)
+    (primitive,) = document["meshes"][0]["primitives"][:1]
+    empty = {"componentType": 5125, "count": 3_000_000, "type": "SCALAR"}
+    extras, skinned = document["meshes"][0]["extras"], {"mesh": 0, "skin": 0}
+    for changes, words in (
+        ({"nodes": [{}] * 10_001}, "more than 10,000 nodes"),
+        ({"nodes": [skinned], "skins": [{"joints": [0] * 2_001}]}, "2,001 joints; up to 2,000"),
+        ({"meshes": [{"primitives": [primitive | {"mode": 0}] * 2_001}]}, "2,000 primitives"),
+        (
+            {
+                "accessors": [*document["accessors"], empty],
+                "meshes": [{"primitives": [primitive | {"indices": -1}] * 2, "extras": extras}],
+            },
+            "2000000 faces; at most 1000000",
+        ),
+    ):
+        changed = {**copy.deepcopy(document), **copy.deepcopy(changes)}
+        nodes = range(len(changed["nodes"]))
+        changed["scenes"] = [{"nodes": list(nodes)}]
+        for mesh in changed["meshes"]:
+            for part in mesh["primitives"]:
+                part["indices"] %= len(changed["accessors"])
+        path = tmp_path / "small.glb"
+        path.write_bytes(glb_bytes(changed, binary))
+        with pytest.raises(CaptureError, match=words):
+            read_rig(path)
+
+
 @pytest.mark.parametrize("name", ["neutral.obj", "head.fbx", "head.glb"])
 def test_a_file_of_another_format_is_refused_by_the_formats_that_are_read(
     tmp_path: Path, name: str

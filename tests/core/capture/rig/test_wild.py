@@ -395,6 +395,21 @@ def test_eyes_that_are_caps_of_spheres_are_found_by_their_material(tmp_path: Pat
     np.testing.assert_allclose(subject.head.mesh.eyes[0].centre_m, [0.032, 0.022, 0.074], atol=1e-4)
 
 
+def test_pictures_share_a_number_of_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = wild_rig()
+    rig.document["materials"][1] |= {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    path = rig.save(tmp_path / "toy.glb")
+    side = len(picture())
+    assert read_rig(path).images[0].shape == (side, side, 4)
+
+    monkeypatch.setattr("pica_core.capture.rig.source.MAX_IMAGE_PIXELS", side * side)
+    images = read_rig(path).images
+    assert images[0] is images[1]
+    assert images[0].shape == (side // 2, side // 2, 4)
+    expected = picture().reshape(side // 2, 2, side // 2, 2, 3).mean((1, 3))
+    assert np.abs(images[0][..., :3] - expected).max() <= 1
+
+
 def test_a_file_that_is_named_many_times_counts_each_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
