@@ -168,7 +168,8 @@ def pictures(
     began_s, shown_s = time.monotonic(), -USUAL_STEP_S
     while True:
         is_empty, before_s = True, None  # films cut from longer ones, and streams, begin anywhere
-        with suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
+        # Damaged from here on, or the camera was pulled; PyAV finds no stream that is new.
+        with suppress(av.FFmpegError, LookupError):
             for frame in container.decode(video=0):
                 taken_s, is_empty = frame.time, False
                 if is_video:

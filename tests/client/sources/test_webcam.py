@@ -183,6 +183,17 @@ def test_a_film_whose_clock_jumps_goes_on() -> None:
     assert steps_s == pytest.approx([0.1, usual_s, 0.1, usual_s, 0.1])
 
 
+def test_a_film_in_which_a_stream_begins_later_is_shown_as_far_as_it_is_read() -> None:
+    pytest.importorskip("av")
+
+    def decode(video: int) -> Iterator[SimpleNamespace]:
+        yield decoded(Image.new("RGB", (8, 8)), 0.5)
+        raise IndexError("list index out of range")
+
+    container = SimpleNamespace(name="", decode=decode, seek=lambda offset: None)
+    assert len(list(itertools.islice(pictures(container, True, lambda seconds: False), 3))) == 3
+
+
 def test_a_picture_too_large_is_not_decoded(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     Image.new("L", (4096, 2305)).save(path := tmp_path / "large.png")
