@@ -23,13 +23,17 @@ LIVE_LINK_ORDER = (
 
 
 def live_link(
-    values: Mapping[str, float] | None, *, frame: int = 0, sub_frame: float = 0.0
+    values: Mapping[str, float] | None,
+    *,
+    frame: int = 0,
+    sub_frame: float = 0.0,
+    rate: tuple[int, int] = (60, 1),
 ) -> bytes:
-    """A datagram of Live Link Face at 60 frames a second; None for the values: no face."""
+    """A datagram of Live Link Face; None for the values: no face."""
     packet = struct.pack(">B", 6)
     for text in ("5F0C6C0B-6F3C-4F52-9E43-3F3B2C9D4E11", "iPhone"):
         packet += struct.pack(">i", len(text.encode())) + text.encode()
-    packet += struct.pack(">ifii", frame, sub_frame, 60, 1)
+    packet += struct.pack(">ifii", frame, sub_frame, *rate)
     if values is None:
         return packet
     assert set(values) <= set(LIVE_LINK_ORDER)

@@ -61,9 +61,8 @@ def decode_livelink(packet: bytes) -> TrackerSample:
         raise PacketError("cut in the frame's time")
     frame, sub_frame, numerator, denominator = _TIME.unpack_from(packet, place)
     place += _TIME.size
-    if numerator <= 0 or denominator <= 0 or not math.isfinite(sub_frame):
-        raise PacketError("the frame's time is none")
-    tracker_s = (frame + sub_frame) * denominator / numerator
+    has_time = numerator > 0 and denominator > 0 and math.isfinite(sub_frame)
+    tracker_s = (frame + sub_frame) * denominator / numerator if has_time else None
     if len(packet) == place or packet[place] == 0:
         return TrackerSample(tracker_s=tracker_s, has_face=False)
     if packet[place] != NUM_VALUES:

@@ -31,6 +31,13 @@ def test_live_link_gives_every_shape_its_own_value() -> None:
     assert sample.tracker_s == pytest.approx(90.5 / 60)
 
 
+@pytest.mark.parametrize("rate", [(30, 0), (0, 1), (-60, 1)])
+def test_a_face_of_live_link_whose_rate_is_none_has_no_time(rate: tuple[int, int]) -> None:
+    sample = decode_livelink(tracker_packets.live_link(MANY, rate=rate))
+    assert sample.has_face
+    assert sample.tracker_s is None
+
+
 @pytest.mark.parametrize(("angle", "axis"), [("HeadPitch", 0), ("HeadYaw", 1), ("HeadRoll", 2)])
 def test_a_head_of_live_link_turns_about_one_axis(angle: str, axis: int) -> None:
     rotation = decode_livelink(tracker_packets.live_link({angle: -0.3})).rotation
