@@ -98,7 +98,7 @@ class Scheduler:
         self._since_s = 0.0
         self._now = -math.inf
         # Of this frame, by slot and shrink: one plan asks some eight times for each head.
-        self._known_places: dict[tuple[str, float], int] = {}
+        self._known: dict[tuple[str, float], tuple[int, float]] = {}
 
     def plan_view(
         self,
@@ -120,7 +120,7 @@ class Scheduler:
             budget_s: What decodes, uploads and drawing of this frame may take, seconds.
         """
         self._since_s, self._now = min(now - self._now, LISTENER_S), now
-        self._known_places.clear()
+        self._known.clear()
         seen = sorted((head for head in heads if head.sight.is_visible), key=_lowest_first)
         shrinks = self._fit(seen, budget_s)
         spent_s = self._draw_s(seen, shrinks)
@@ -129,8 +129,7 @@ class Scheduler:
         are_few = 2 * num_speaking <= len(seen)
         for head, shrink in sorted(zip(seen, shrinks, strict=True), key=_oldest_first):
             head.seen_s = now
-            levels, scale = head.avatar.levels, self._scale(head, shrink)
-            level = self._place(head, shrink)
+            levels, (level, scale) = head.avatar.levels, self._gets(head, shrink)
             decode = _wanted(head, levels[level], now)
             if decode != "none":
                 # One is decoded in any case, so that not everybody is overdue at once, and the
@@ -174,7 +173,7 @@ class Scheduler:
             shrinks = _shrinks(len(seen), turns)
             decodes_s = 0.0
             for head, shrink in zip(seen, shrinks, strict=True):
-                level = head.avatar.levels[self._place(head, shrink)]
+                level = head.avatar.levels[self._gets(head, shrink)[0]]
                 decodes_s += self._share(head) * self.costs.decode_s(head.model, level, "both")
             return self._draw_s(seen, shrinks) + decodes_s
 
@@ -199,29 +198,20 @@ class Scheduler:
         every = (4, 2, 1)[bisect_right(SHARE_PX, head.sight.head_px)]
         return max(every, 2) if self._is_short and head.is_listening else every
 
-    def _place(self, head: Head, shrink: float) -> int:
-        """Which of the avatar's levels it gets in this frame."""
+    def _gets(self, head: Head, shrink: float) -> tuple[int, float]:
+        """Which of the avatar's levels it gets in this frame, and its share of the resolution."""
         key = head.slot, shrink
-        if key not in self._known_places:
-            self._known_places[key] = _find_place(head, shrink)
-        return self._known_places[key]
-
-    def _scale(self, head: Head, shrink: float) -> float:
-        """The share of the image's resolution that a head is drawn with: less than the whole where
-        it must count as smaller than what gets the coarsest level."""
-        before = 1.0 if head.choice is None else head.choice.scale
-        height = max(head.sight.head_px, 1e-3)
-        excess = max(shrink * min(height, DETAIL_PX[0]) / height, 1.0)
-        return min(
-            scale for scale in SCALES if scale * excess >= (KEEP_RATIO if scale >= before else 1.0)
-        )
+        if key not in self._known:
+            self._known[key] = _find_place(head, shrink), _find_scale(head, shrink)
+        return self._known[key]
 
     def _draw_s(self, seen: Sequence[Head], shrinks: Sequence[float]) -> float:
         """Seconds an image, on average, that drawing heads takes."""
         draw, total_s = self.costs.draw, self.costs.draw.frame_s if seen else 0.0
         for head, shrink in zip(seen, shrinks, strict=True):
-            triangles = head.sight.num_views * head.num_triangles[self._place(head, shrink)]
-            pixels = self._scale(head, shrink) ** 2 * head.sight.visible_px
+            place, scale = self._gets(head, shrink)
+            triangles = head.sight.num_views * head.num_triangles[place]
+            pixels = scale**2 * head.sight.visible_px
             total_s += self._share(head) * (draw.pixel_s * pixels + draw.triangle_s * triangles)
         return total_s
 
@@ -241,6 +231,17 @@ def _find_place(head: Head, shrink: float) -> int:
         for number, least_px in enumerate(DETAIL_PX)
     )
     return min(sum(reached), len(levels) - 1)
+
+
+def _find_scale(head: Head, shrink: float) -> float:
+    """The share of the image's resolution that a head is drawn with: less than the whole where it
+    must count as smaller than what gets the coarsest level."""
+    before = 1.0 if head.choice is None else head.choice.scale
+    height = max(head.sight.head_px, 1e-3)
+    excess = max(shrink * min(height, DETAIL_PX[0]) / height, 1.0)
+    return min(
+        scale for scale in SCALES if scale * excess >= (KEEP_RATIO if scale >= before else 1.0)
+    )
 
 
 def _wanted(head: Head, level: int, now: float) -> Decode:
