@@ -5,8 +5,6 @@ a budget within a tenth of its count. A change that raises a count raises its nu
 The counts are those of software GL; on a GPU the rasteriser may differ by some pixels.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """In the context of an application that embeds the renderer: what is freed, whose state counts."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The draw clock tells of every frame once, late, in order, and without the first ones."""
 
-from __future__ import annotations
-
 import moderngl
 import pytest
 

@@ -1,7 +1,5 @@
 """Busts pass softly into the room; the room is drawn anew only when it looks different."""
 
-from __future__ import annotations
-
 import moderngl
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Decoding in shaders, judged by numpy; who comes and goes; and where it cannot be done."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Container, Iterator

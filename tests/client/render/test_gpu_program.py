@@ -1,7 +1,5 @@
 """Messages about shaders point at our files."""
 
-from __future__ import annotations
-
 import pytest
 
 from pica_client.render.gpu_program import complaint

@@ -1,7 +1,5 @@
 """Only heads that changed are drawn again, and the image is the one that is drawn as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import moderngl

@@ -1,7 +1,5 @@
 """What the renderer draws, judged by numpy; and where it fails: broken maps, cameras, drivers."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import math

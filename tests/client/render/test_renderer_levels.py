@@ -1,7 +1,5 @@
 """Levels, eyes and textured heads, as the renderer draws them."""
 
-from __future__ import annotations
-
 import gc
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Poses, views, both eyes, and the part of the screen that a head may cover."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

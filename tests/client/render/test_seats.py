@@ -1,7 +1,5 @@
 """Layouts: nobody sits in somebody else, everybody is in the picture, with room for their names."""
 
-from __future__ import annotations
-
 import math
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """What does not change with the face is drawn with a texture, and looks as if it were decoded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import moderngl

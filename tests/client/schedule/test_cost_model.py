@@ -1,7 +1,5 @@
 """What things cost is learned: from nothing, through noise, past spikes, and never below zero."""
 
-from __future__ import annotations
-
 import math
 import random
 

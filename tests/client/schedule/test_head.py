@@ -1,7 +1,5 @@
 """What a head asks for as it moves, and how what came is drawn."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The scheduler's promises: budget, order, nearness, no old maps, nothing for the unseen."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -115,6 +113,21 @@ def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_co
     assert short.cost_s < 0.7 * free.cost_s
     assert [choice.every for choice in free.choices.values()] == [1] * 5
     assert [choice.every for choice in short.choices.values()] == [1, 2, 2, 2, 2]
+
+
+def test_what_a_budget_has_no_time_for_in_this_image_is_decoded_in_the_next() -> None:
+    """Images come twice as often as faces here, and all faces at once."""
+    people = [view(f"h{i}", age_s=FRAME_S / 2) for i in range(5)]
+    scheduler = Scheduler()
+    scheduler.plan(people, AMPLE_S, NOW_S - FRAME_S / 2)
+    free = scheduler.plan(people, AMPLE_S, NOW_S)
+    decode_s = scheduler.costs.decode_s(people[0].model, 128, "both")
+    budget_s = free.cost_s - 2.4 * decode_s
+    short = scheduler.plan(people, budget_s, NOW_S + FRAME_S / 2)
+    assert [choice.decode for choice in free.choices.values()] == ["both"] * 5
+    assert [choice.level for choice in short.choices.values()] == [128] * 5
+    assert [choice.decode for choice in short.choices.values()].count("both") == 2
+    assert short.cost_s <= budget_s
 
 
 # Time

@@ -1,7 +1,5 @@
 """What of each head can be seen: size, screen edge, near plane, other heads, two eyes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
