@@ -41,10 +41,12 @@ def test_a_circle_is_found_however_far_around() -> None:
     assert set(found) == {"a", "b", "c"}
 
 
+@pytest.mark.slow
 def test_the_page_is_what_its_script_writes() -> None:
     assert SCRIPT.command_line_page() == COMMAND_LINE
 
 
+@pytest.mark.slow
 def test_the_errors_on_the_page_are_what_the_command_says(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

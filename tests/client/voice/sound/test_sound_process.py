@@ -39,6 +39,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str],
     return write
 
 
+@pytest.mark.slow
 def test_sound_that_reads_nothing_any_more_is_ended(stand_in: Callable[[str], Path]) -> None:
     begun = stand_in("echo $$ > PIPE\nexec sleep 600")
     sound = SoundProcess()
