@@ -179,7 +179,7 @@ async def test_sealed_voices_and_faces_open_at_once_and_only_for_who_has_the_sec
     ((first, arrived_s), *_) = next(iter(dee.heard.values()))
     assert first.captured_us / 1e6 > joined_s - 0.001
     assert arrived_s - joined_s <= 2 * sum(delays_s.values()) + 2 * FRAME_US / 1e6
-    # Those who stay miss nothing when the keys change because somebody leaves.
+    # Those who stay miss nothing when the keys change because a participant leaves.
     after = [guard.stats() for guard in guards if guard is not None]
     assert after[0]["key_changes"] == before[0]["key_changes"] + 1
     assert after[1]["unreadable"] == before[1]["unreadable"]
