@@ -127,8 +127,8 @@ def running_relays(count: int, nats_url: str, *words: str) -> Iterator[list[Rela
 
 
 class Person:
-    """A participant of a call, with a face track that says nothing; `others` are the names of those in
-    the room with them, by peer id."""
+    """A participant, with a face track that says nothing; `others` are the names of those in the
+    room with them, by peer id."""
 
     def __init__(self, name: str, url: str, *, room: str) -> None:
         self.name = name
