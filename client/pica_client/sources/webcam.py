@@ -188,7 +188,7 @@ def pictures(
 
 def _upright(frame: Any, path: str) -> Image.Image:
     """The picture of a frame; phones store theirs on their side, and mirrored."""
-    picture: Image.Image = frame.to_image()
+    picture: Image.Image = frame.to_image(threads=1)
     degrees: int = frame.rotation
     if _is_mirrored(frame, path):
         picture, degrees = picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT), degrees + 180

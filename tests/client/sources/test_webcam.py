@@ -2,6 +2,8 @@
 
 import hashlib
 import itertools
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -155,7 +157,7 @@ def decoded(image: Image.Image, time_s: float, rotation: int = 0) -> SimpleNames
     """A picture as a container gives it."""
     size = {"width": image.width, "height": image.height}
     told = {"time": time_s, "rotation": rotation, "side_data": {}}
-    return SimpleNamespace(**size, **told, to_image=image.copy)
+    return SimpleNamespace(**size, **told, to_image=lambda **_: image.copy())
 
 
 def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
@@ -199,6 +201,14 @@ def test_a_picture_too_large_is_not_decoded(tmp_path: Path) -> None:
     Image.new("L", (4096, 2305)).save(path := tmp_path / "large.png")
     with closing(open_camera(str(path))) as container, pytest.raises(av.FFmpegError):
         next(container.decode(video=0))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts threads of libraries, too")
+def test_pictures_leave_no_threads(video: Path) -> None:
+    with closing(open_camera(str(video))) as container:
+        shown = pictures(container, True, lambda seconds: False)
+        counts = [len(os.listdir("/proc/self/task")) for _ in itertools.islice(shown, 5)]
+    assert counts[4] == counts[0]
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
