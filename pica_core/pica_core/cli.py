@@ -218,7 +218,7 @@ def _tell(console: Console, about: dict[str, Any]) -> None:
         f"{len(about['mapped'])} shapes mapped, {len(about['missing'])} ARKit shapes missing, "
         f"{len(about['ignored'])} shapes ignored; unit {about['unit']}"
     )
-    for name in ("missing", "ignored", "left_out_materials", "guessed"):
+    for name in ("missing", "ignored", "left_out_materials", "smaller_images", "guessed"):
         if about[name]:
             told = f"{name.replace('_', ' ')}: {', '.join(about[name])}"
             console.print(told, highlight=False)

@@ -44,6 +44,7 @@ from pica_client.voice.source import read_wav
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.capture.rig.gltf import read_rig
+from pica_core.capture.rig.head import make_rig
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
 from pica_core.errors import AvatarFileError, CaptureError, LatentError
@@ -140,9 +141,17 @@ def datagram(data: bytes) -> None:
 
 
 def rig(data: bytes) -> None:
-    """Read the rig of a stranger, and make it a head where it is one."""
+    """Read the rig of a stranger, and make it a mesh where it is one."""
     with _file(data) as path, suppress(CaptureError):
         build_mesh(source := read_rig(path), map_names(list(source.shapes)))
+
+
+def head(data: bytes) -> None:
+    """Make a head of a stranger's rig, and pose it."""
+    with _file(data) as path, suppress(CaptureError):
+        made = make_rig(read_rig(path))
+        for value in (0.0, 0.7, 1.0):
+            expect(bool(np.isfinite(made.vertices([value] * 52)).all()), "an endless head")
 
 
 def take(data: bytes) -> None:
@@ -180,7 +189,7 @@ TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
     each.__name__: each
     for each in (
         *(message, media, sealed, key_message, avatar_file, bitstream, datagram),
-        *(rig, take, film, sound),
+        *(rig, head, take, film, sound),
     )
 }
 
@@ -192,7 +201,7 @@ def damaged(name: str, good: list[bytes]) -> st.SearchStrategy[bytes]:
             return damaged_control(good) | damaged_bytes(good)
         case "media":
             return MEDIA | damaged_bytes(good)
-        case "rig":
+        case "rig" | "head":
             return damaged_glb(*RIG) | damaged_bytes(good)
         case "avatar_file":
             return damaged_avatar(good[0]) | damaged_bytes(good)
@@ -220,6 +229,7 @@ def seeds() -> dict[str, list[bytes]]:
         "key_message": [encode(told, CODE_KEY, WAY, bytes(32), bytes(16))],
         "avatar_file": [avatar_bytes],
         "rig": [glb_bytes(*RIG)],
+        "head": [glb_bytes(*RIG)],
         "bitstream": [sent.payload for sent in perform(num_frames=40)],
         "datagram": [
             tracker_packets.live_link(values, frame=5),

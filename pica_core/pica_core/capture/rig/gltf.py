@@ -423,6 +423,7 @@ def _read(file: GltfFile) -> RigSource:
         copyright=str(file.root.get("asset", {}).get("copyright", ""))[:500],
         images={k: m.image for k, m in enumerate(builder.materials) if m.image is not None},
         colours=np.concatenate(builder.colours).astype(np.float32),
+        smaller_images=tuple(file.smaller_images),
     )
     for index, look in enumerate(builder.materials):
         if look.cutoff is not None and (source.face_material == index).any():

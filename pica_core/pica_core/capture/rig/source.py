@@ -56,6 +56,7 @@ class RigSource:
         images: Base colour image of a material, where the file has one: sRGB with alpha, row 0 on
             top. uint8 ``[H, W, 4]``.
         colours: Linear RGB that images are multiplied with. float32 ``[V, 3]``.
+        smaller_images: Those that were read smaller than they are stored, one line each.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class RigSource:
     copyright: str
     images: dict[int, ByteArray]
     colours: FloatArray
+    smaller_images: tuple[str, ...]
 
 
 def check_counts(where: str, *, vertices: int, faces: int, shapes: int) -> None:
@@ -119,9 +121,11 @@ MAX_IMAGE_PIXELS = 8192 * 8192
 """Of all images of a rig together, 256 MB."""
 
 
-def open_image(where: str, data: bytes, max_pixels: int = MAX_IMAGE_PIXELS) -> ByteArray:
+def open_image(
+    where: str, data: bytes, max_pixels: int = MAX_IMAGE_PIXELS, told: list[str] | None = None
+) -> ByteArray:
     """A PNG, JPEG or WebP image as sRGB with alpha, row 0 on top; a larger one than `max_pixels`
-    as a half, a third ... of its size. uint8 ``[H, W, 4]``."""
+    as a half, a third ... of its size, as `told` says then. uint8 ``[H, W, 4]``."""
     try:
         with Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as image:
             if max(image.size) > MAX_ALBEDO_SIDE:
@@ -135,6 +139,8 @@ def open_image(where: str, data: bytes, max_pixels: int = MAX_IMAGE_PIXELS) -> B
                 )
             part = math.ceil(math.sqrt(image.width * image.height / max_pixels))
             size = (max(image.width // part, 1), max(image.height // part, 1))
+            if part > 1 and told is not None:
+                told.append(f"{image.width}x{image.height} pixels as {size[0]}x{size[1]}")
             filters = Image.Resampling  # but for RGB, mixing pixels takes several copies
             how = filters.BOX if image.mode == "RGB" else filters.NEAREST
             return np.asarray((image.resize(size, how) if part > 1 else image).convert("RGBA"))
@@ -204,6 +210,7 @@ class GltfFile:
         self.buffer = cache(self._buffer)
         self.image = cache(self._image)
         self._pixels_left = MAX_IMAGE_PIXELS
+        self.smaller_images: list[str] = []
         self._beside = cache(read_bytes)
         self._beside_bytes = 0
 
@@ -266,7 +273,7 @@ class GltfFile:
         if data is None:
             data = bytes(self.view(count_of(entry, "bufferView"))[0])
         half = max(self._pixels_left // 2, 1)
-        image = open_image(f"{self.path}: image {index}", data, half)
+        image = open_image(f"{self.path}: image {index}", data, half, self.smaller_images)
         self._pixels_left -= image.shape[0] * image.shape[1]
         return image
 

@@ -324,6 +324,7 @@ def describe_rig(path: Path, source: RigSource, head: RigHead) -> dict[str, Any]
             "missing": list(head.names.missing),
             "ignored": list(head.names.ignored),
             "left_out_materials": list(mesh.dropped),
+            "smaller_images": list(source.smaller_images),
             "triangles_with_new_coordinates": head.mended,
         },
     }

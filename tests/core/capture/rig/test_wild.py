@@ -403,7 +403,8 @@ def test_pictures_share_a_number_of_pixels(tmp_path: Path, monkeypatch: pytest.M
     assert read_rig(path).images[0].shape == (side, side, 4)
 
     monkeypatch.setattr("pica_core.capture.rig.source.MAX_IMAGE_PIXELS", side * side)
-    images = read_rig(path).images
+    images = (smaller := read_rig(path)).images
+    assert smaller.smaller_images == (f"{side}x{side} pixels as {side // 2}x{side // 2}",)
     assert images[0] is images[1]
     assert images[0].shape == (side // 2, side // 2, 4)
     expected = picture().reshape(side // 2, 2, side // 2, 2, 3).mean((1, 3))
