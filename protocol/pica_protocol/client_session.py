@@ -134,7 +134,7 @@ class ClientSession(session.Session[messages.Joined | messages.RoomNews | Frame]
         """
         if self.state is not session.State.JOINED:
             return False
-        stream, policy = self.tracks[track].stream, self.tracks[track].policy
+        stream, deadline_s = self.tracks[track].stream, self.tracks[track].deadline_s
         # One that replaces another takes its number: a hole would look like a loss on the way.
         next_sequence = self._next_sequence[track] - self._waiting.will_replace(stream)
         sequence = (next_sequence + -next_sequence % multiple) % SEQUENCE_MODULUS
@@ -145,7 +145,6 @@ class ClientSession(session.Session[messages.Joined | messages.RoomNews | Frame]
             return True
         if self._seal is not None:
             frame = replace(frame, payload=self._seal(frame))
-        deadline_s = self.tracks[track].deadline_ms / 1000 if policy == "ordered" else None
         # The capture time is all the clock we have here; only differences count.
         self._captured_s = captured_us / 1e6
         data = encode_frame(frame)

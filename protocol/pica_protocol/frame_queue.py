@@ -1,7 +1,7 @@
 """What waits for one reader that is slower than its senders, and what it gets next. Pure.
 
-Every frame stands alone, so little needs to wait: of a stream of the policy ``latest`` the newest
-frame, of an ``ordered`` one the last `MAX_WAITING` frames that are within their deadline. So the
+Every frame stands alone, so little needs to wait: of a stream without a deadline the newest
+frame, of an ordered one the last `MAX_WAITING` frames that are within their deadline. So the
 memory for a reader is bounded by the number of its streams, and what it reads is fresh.
 
 Deficit round robin (Shreedhar and Varghese 1995) shares what is taken fairly by senders, so that

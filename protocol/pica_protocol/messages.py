@@ -21,9 +21,6 @@ from typing import Annotated, Any, Final, cast, get_args, get_type_hints
 from pica_protocol import limits
 
 MAX_TRACK_KIND_BYTES: Final = 16
-DROP_POLICIES: Final = ("latest", "ordered")
-"""What may be dropped when a receiver is slow, see `frame_queue`. ``latest``: all but the newest
-frame. ``ordered``: what has waited longer than its deadline."""
 SHARES: Final = (0, 1, 2, 4)
 """What may be asked for of a stream: none of it, all, or each second or fourth sequence number."""
 Metadata = tuple[tuple[str, str], ...]
@@ -124,24 +121,22 @@ class Checked:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Track(Checked):
-    """One thing a peer publishes. The relay looks at ``stream`` and ``policy`` only."""
+    """One thing a peer publishes. The relay looks at ``stream`` and ``deadline_ms`` only."""
 
     kind: Kind
     """What the payloads are, for receivers: ``face`` today. A short word of a-z, 0-9, _ . -"""
-    policy: Annotated[str, _one_of(DROP_POLICIES)] = "latest"
-    """Drop policy, one of ``DROP_POLICIES``."""
     avatar: Sha256 = ""
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
     stream: Annotated[int, _within(0, limits.MAX_STREAM)] = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
-    deadline_ms: int = 0
-    """Says, with ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
+    deadline_ms: Annotated[int, _within(0, limits.MAX_DEADLINE_MS)] = 0
+    """How long a frame of an ordered track may wait for a receiver that is slow, milliseconds. 0:
+    it is not ordered, and all frames but the newest may be dropped, see `frame_queue`."""
 
-    def __post_init__(self) -> None:
-        Checked.__post_init__(self)
-        is_ordered = self.policy == "ordered"
-        longest_ms = limits.MAX_DEADLINE_MS if is_ordered else 0
-        limits.check_range("track.deadline_ms", self.deadline_ms, int(is_ordered), longest_ms)
+    @property
+    def deadline_s(self) -> float | None:
+        """How long a frame may wait, seconds; None: until the next one comes."""
+        return self.deadline_ms / 1000 if self.deadline_ms else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -56,7 +56,7 @@ MESSAGES: dict[str, Message] = {
     ),
     "join again": Join(room="lobby", name="Bob", resumable=True, resume="x9Jd0cW1bQe7"),
     "join with voice": Join(
-        room="lobby", name="Bob", tracks=(Track(kind="voice", policy="ordered", deadline_ms=200),)
+        room="lobby", name="Bob", tracks=(Track(kind="voice", deadline_ms=200),)
     ),
     "joined": Joined(
         room="lobby",

@@ -11,7 +11,7 @@ from pica_server.room.hub import Hub
 from pica_server.room.room import Connection
 
 FACE = Track(kind="face")
-VOICE = Track(kind="voice", policy="ordered", deadline_ms=200)
+VOICE = Track(kind="voice", deadline_ms=200)
 
 
 class Member:

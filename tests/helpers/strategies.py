@@ -28,7 +28,7 @@ def tracks(stream: st.SearchStrategy[int]) -> st.SearchStrategy[tuple[Track, ...
         "avatar": st.sampled_from(["", "0f" * 32]),
         "stream": stream,
     }
-    ordered = {"policy": st.just("ordered"), "deadline_ms": st.integers(1, MAX_DEADLINE_MS)}
+    ordered = {"deadline_ms": st.integers(1, MAX_DEADLINE_MS)}
     track = st.builds(Track, **fields) | st.builds(Track, **fields, **ordered)
     return st.lists(track, max_size=4).map(tuple)
 

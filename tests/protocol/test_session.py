@@ -32,7 +32,7 @@ from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Closed, Media, Ser
 pytestmark = pytest.mark.unit
 
 FACE = Track(kind="face")
-VOICE = Track(kind="voice", policy="ordered", deadline_ms=200)
+VOICE = Track(kind="voice", deadline_ms=200)
 OWN = Track(kind="face", stream=7)
 BOB = Peer(peer_id="p2", name="Bob", tracks=(Track(kind="face", stream=8),))
 JOINED = Joined(room="lobby", peer_id="p1", tracks=(OWN,), peers=(BOB,))
@@ -106,7 +106,7 @@ def test_a_newer_frame_replaces_one_that_waits_and_one_for_everybody_has_a_multi
 
 
 def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
-    data = Track(kind="data", policy="ordered", deadline_ms=100)
+    data = Track(kind="data", deadline_ms=100)
     client = ClientSession(room="lobby", name="Ada", tracks=(data,) * 4, now=0.0)
     own = tuple(replace(data, stream=stream) for stream in (7, 9, 10, 11))
     client.receive_data(encode_message(Joined(room="lobby", peer_id="p1", tracks=own)), now=0.2)

@@ -65,12 +65,11 @@ def test_nothing_else_opens(page: Page) -> None:
 def test_a_peer_is_described_alike(page: Page) -> None:
     tracks = [
         Track(kind="face", avatar="0f" * 32, stream=1),
-        Track(kind="voice", policy="ordered", deadline_ms=200, stream=40_000),
+        Track(kind="voice", deadline_ms=200, stream=40_000),
     ]
     plain = [
         {
             "kind": each.kind,
-            "policy": each.policy,
             "avatar": each.avatar,
             "stream": each.stream,
             "deadline_ms": each.deadline_ms,

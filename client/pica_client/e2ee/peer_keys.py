@@ -65,12 +65,12 @@ def describe(room: str, name: str, tracks: Iterable[Track]) -> bytes:
     """Return what a peer says of itself, so that the relay cannot say otherwise.
 
     SHA-256 of these texts, each with its length before it (2 bytes, then UTF-8): "pica seal peer",
-    the room that was asked for, name, and for each track kind, policy, avatar, stream and
+    the room that was asked for, name, and for each track kind, avatar, stream and
     deadline_ms, numbers in decimal. What may change in a call (metadata) is left out.
     """
     texts = ["pica seal peer", room, name]
     for track in tracks:
-        texts += [track.kind, track.policy, track.avatar]
+        texts += [track.kind, track.avatar]
         texts += [str(track.stream), str(track.deadline_ms)]
     encoded = [text.encode() for text in texts]
     return hashlib.sha256(b"".join(len(text).to_bytes(2) + text for text in encoded)).digest()

@@ -65,7 +65,7 @@ class VoicePublisher:
         Raises:
             VoiceError: There is no libopus.
         """
-        self.track = Track(kind=VOICE_TRACK, policy="ordered", deadline_ms=DEADLINE_MS)
+        self.track = Track(kind=VOICE_TRACK, deadline_ms=DEADLINE_MS)
         self.is_muted = False
         self.listeners: list[Callable[[FloatArray, int], None]] = []
         self._source = source

@@ -217,7 +217,6 @@ class Room:
         while True:
             self._last_stream = self._last_stream % MAX_STREAM + 1
             if self._last_stream not in self.streams:
-                deadline_s = track.deadline_ms / 1000 if track.policy == "ordered" else None
-                stream = Stream(self._last_stream, peer_id, deadline_s)
+                stream = Stream(self._last_stream, peer_id, track.deadline_s)
                 self.streams[self._last_stream] = stream
                 return self._last_stream

@@ -225,8 +225,8 @@ export class Call extends EventTarget {
     const claims = claimsOf(token);
     const url = new URL(this.base);
     url.protocol = url.protocol.replace("http", "ws");
-    const face = { kind: "face", policy: "latest", avatar: avatarId, stream: 0, deadline_ms: 0 };
-    const voice = { kind: "voice", policy: "ordered", avatar: "", stream: 0, deadline_ms: 200 };
+    const face = { kind: "face", avatar: avatarId, stream: 0, deadline_ms: 0 };
+    const voice = { kind: "voice", avatar: "", stream: 0, deadline_ms: 200 };
     const tracks = claims.publish === false ? [] : avatarId ? [face, voice] : [voice];
     const link = new Link(url.href, { room, token, name, tracks }, {
       message: (message) => this.receive(message),
@@ -267,7 +267,7 @@ export class Call extends EventTarget {
    * @param {string} name */
   async wear(avatar, name) {
     const { OwnFace } = await import("./face.js");
-    const track = { kind: "face", policy: "latest", avatar, stream: 1, deadline_ms: 0 };
+    const track = { kind: "face", avatar, stream: 1, deadline_ms: 0 };
     const own = new Member(this,
       { peer_id: "self", name, tracks: [track], metadata: {} }, -1, name);
     const face = await OwnFace.open();

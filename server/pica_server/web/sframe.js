@@ -120,7 +120,7 @@ export async function open(frame, key, isFace) {
 /** What a peer says of itself. @param {string} room @param {string} name @param {Track[]} tracks */
 export async function describe(room, name, tracks) {
   const texts = ["pica seal peer", room, name, ...tracks.flatMap((track) =>
-    [track.kind, track.policy, track.avatar, String(track.stream), String(track.deadline_ms)])];
+    [track.kind, track.avatar, String(track.stream), String(track.deadline_ms)])];
   const data = joined(...texts.map((text) => utf8.encode(text))
     .flatMap((text) => [[text.length >> 8, text.length & 255], text]));
   return new Uint8Array(await subtle.digest("SHA-256", data));

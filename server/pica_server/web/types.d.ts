@@ -17,7 +17,7 @@ interface Camera {
 
 // The wire
 
-type Track = { kind: string; policy: string; avatar: string; stream: number; deadline_ms: number };
+type Track = { kind: string; avatar: string; stream: number; deadline_ms: number };
 type Peer = { peer_id: string; name: string; tracks: Track[]; metadata: Record<string, string> };
 type Frame = { stream: number; sequence: number; capturedUs: number; payload: Uint8Array };
 type Message = { type: string; [field: string]: any };

@@ -120,7 +120,7 @@ LABELS = {
     "name": lambda peer: replace(peer, name="Bob"),
     "avatar": lambda peer: with_track(peer, avatar="ab" * 32),
     "kind": lambda peer: with_track(peer, kind="voice"),
-    "policy": lambda peer: with_track(peer, policy="ordered", deadline_ms=200),
+    "deadline": lambda peer: with_track(peer, deadline_ms=200),
     "stream": lambda peer: with_track(peer, stream=99),
     "no track": lambda peer: replace(peer, tracks=()),
 }
