@@ -69,11 +69,11 @@ def outline_of(vertices_m: FloatArray, slack_m: float = 0.0) -> FloatArray:
     sound_m = vertices_m[np.isfinite(vertices_m).all(axis=1)].astype(np.float32)
     if not len(sound_m):
         sound_m = np.zeros((1, 3), np.float32)
-    directions = _directions(NUM_OUTLINE)
+    directions = even_directions(NUM_OUTLINE)
     outermost_m = sound_m[np.matmul(directions, sound_m.T).argmax(axis=1)]
     outline_m: FloatArray = outermost_m + (slack_m + OUTLINE_MARGIN_M) * directions
     # A spike between the directions is found by looking in many more.
-    looked = _directions(NUM_LOOKED)
+    looked = even_directions(NUM_LOOKED)
     parts = np.array_split(sound_m, -(-len(sound_m) // LOOKED_AT_ONCE))
     reach_m = np.max([np.matmul(looked, part.T).max(axis=1) for part in parts], axis=0)
     missing_m = reach_m + slack_m - np.matmul(looked, outline_m.T).max(axis=1)
@@ -81,7 +81,7 @@ def outline_of(vertices_m: FloatArray, slack_m: float = 0.0) -> FloatArray:
 
 
 @cache
-def _directions(count: int) -> FloatArray:
+def even_directions(count: int) -> FloatArray:
     """Unit vectors that are spread evenly, ``[count, 3]``."""
     index = np.arange(count)
     height, turn = 1 - (2 * index + 1) / count, index * np.pi * (3 - 5**0.5)

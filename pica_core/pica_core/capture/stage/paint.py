@@ -15,13 +15,13 @@ from typing import Any
 import moderngl
 import numpy as np
 from scipy.ndimage import distance_transform_edt
-from scipy.sparse import coo_array
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.bust import even_directions
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import hair_coverage
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.triangles import edges
+from pica_core.capture.triangles import mean_of_neighbours
 from pica_core.gl import link_program
 from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, IntArray
 
@@ -67,9 +67,7 @@ class Occlusion:
         self._head, self._draw_depth = head, draw_depth
         self._span_m = max(SPAN_M, float(np.ptp(head.mesh.rest_m, axis=0).max()) + 0.05)
         self._centre_m = np.array([0.0, centre_y_m, 0.0])
-        ends = edges(head.chart.faces).T
-        self._neighbours = coo_array((np.ones(ends.shape[1]), tuple(ends))).tocsr()
-        self._neighbours += self._neighbours.T
+        self._around = mean_of_neighbours(head.chart.faces, len(head.chart.source))
         self._poses = [p for p in POSES if all(name in head.names.drivers for name in p)]
         self._rest = self._measure(())
         changes = [self._measure(names) - self._rest for names in self._poses]
@@ -81,7 +79,7 @@ class Occlusion:
         vertices = self._head.vertices(arkit)
         normals = self._head.normals(vertices)
         sky, weight = np.zeros(len(vertices)), np.full(len(vertices), 1e-6)
-        for direction in _sphere(DOME_DIRECTIONS):
+        for direction in even_directions(DOME_DIRECTIONS):
             # Light from above counts more: a dome, not a fog.
             facing = np.maximum(normals @ direction, 0.0) * (0.65 + 0.35 * direction[1])
             sky += facing * self._lit(vertices, normals, direction)
@@ -89,9 +87,8 @@ class Occlusion:
         disc = _softbox(KEY_DIRECTIONS)
         key = np.mean([self._lit(vertices, normals, direction) for direction in disc], axis=0)
         light = np.stack([sky / weight, key], 1)
-        count = np.maximum(self._neighbours.sum(1), 1)[:, None]
         for _ in range(SOFTENED):
-            light = 0.5 * light + 0.5 * (self._neighbours @ light) / count
+            light = 0.5 * (light + self._around @ light)
         return light.astype(np.float32)
 
     def _lit(self, vertices: FloatArray, normals: FloatArray, direction: Float64Array) -> BoolArray:
@@ -117,14 +114,6 @@ class Occlusion:
         weights = np.clip(np.array(shares, np.float32), 0, 1)
         mixed = self._rest + (weights @ self._changes).reshape(self._rest.shape)
         return np.clip(mixed, 0.0, 1.0)
-
-
-def _sphere(count: int) -> Float64Array:
-    """Even directions over the sphere. ``[n, 3]``."""
-    k = np.arange(count) + 0.5
-    y = 1 - 2 * k / count
-    turn, ring = np.pi * (1 + 5**0.5) * k, np.sqrt(1 - y * y)
-    return np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], 1)
 
 
 def _softbox(count: int) -> Float64Array:
