@@ -26,9 +26,11 @@ Payloads are integers, and alike on all machines. Nothing here knows of time or 
 is an argument.
 """
 
+import json
 import math
 from dataclasses import dataclass
 from functools import cache
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -75,46 +77,24 @@ class EncodedFrame:
 
 
 HAS_FACE, HAS_POSE, IS_STILL = 1, 2, 4
-QUALITY_TABLE = make_table((192, 192, 192, 11426, 3810, 191, 191, 190))
-HEADER_TABLE = make_table((1, 4600, 2, 11450, 1, 59, 1, 270))
 SHAPE_UNIT, POSE_UNIT = 2.0**-12, 2.0**-14
 """Of shape values; of radians and metres."""
-# fmt: off
-SHAPE_STEPS = (
-    62, 70, 109, 97, 111, 200, 177, 62, 70, 97, 109, 111, 200, 177, 58, 90, 83, 15, 24, 49, 76, 55,
-    56, 68, 68, 185, 185, 165, 165, 156, 156, 67, 106, 53, 93, 162, 162, 130, 130, 84, 84, 120, 120,
-    78, 68, 68, 62, 165, 165, 66, 66, 200,
-)
+_TABLES = json.loads(files("pica_core.codec").joinpath("tables.json").read_text("utf-8"))
+"""The numbers of `docs/wire.md`."""
+QUALITY_TABLE, HEADER_TABLE = make_table(_TABLES["quality"]), make_table(_TABLES["header"])
+SHAPE_STEPS: list[int] = _TABLES["shape_steps"]
 """How finely each shape is told at the usual quality, in its unit: inverse to what it changes in a
 picture, blurred over 4 pixels, as edges that move by less than the avatar's own error cost nothing
 (measured: three avatars, six faces each, views of `pica bench drive`)."""
-SHAPE_TABLES = (
-    4, 6, 4, 4, 5, 5, 5, 0, 0, 2, 2, 0, 0, 0, 3, 2, 2, 7, 4, 6, 4, 3, 3, 6, 1, 5, 0, 5, 0, 5, 0, 4,
-    5, 6, 5, 5, 0, 5, 1, 6, 1, 4, 1, 6, 6, 1, 3, 5, 1, 6, 1, 2,
-)
+SHAPE_TABLES: list[int] = _TABLES["shape_tables"]
 """The row of `LENGTH_TABLES` of each shape."""
-FIRST_SIDES = (
-    -1, -1, -1, -1, -1, -1, -1, 0, 1, 3, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 23, -1,
-    25, -1, 27, -1, 29, -1, -1, -1, -1, -1, 35, -1, 37, -1, 39, -1, 41, -1, -1, 44, -1, -1, 47, -1,
-    49, -1,
-)
-"""The shape that predicts each shape: of the left side, or of the eye that looks the same way."""
-LENGTH_TABLES = tuple(map(make_table, (
-    (15635, 410, 147, 94, 53, 22, 14, 1, 1, 1, 1, 1, 1, 1, 1, 1),
-    (14973, 910, 269, 100, 74, 41, 8, 1, 1, 1, 1, 1, 1, 1, 1, 1),
-    (9436, 2034, 3070, 1322, 287, 181, 37, 8, 2, 1, 1, 1, 1, 1, 1, 1),
-    (9137, 1576, 1949, 2987, 382, 201, 121, 21, 3, 1, 1, 1, 1, 1, 1, 1),
-    (6256, 1483, 2392, 2688, 2043, 1146, 309, 56, 4, 1, 1, 1, 1, 1, 1, 1),
-    (5180, 3034, 3611, 2850, 1357, 294, 35, 13, 3, 1, 1, 1, 1, 1, 1, 1),
-    (3830, 1379, 2502, 3422, 2949, 1715, 561, 16, 3, 1, 1, 1, 1, 1, 1, 1),
-    (2865, 445, 596, 863, 1232, 2520, 3340, 3506, 998, 13, 1, 1, 1, 1, 1, 1),
-    (4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1),
-    (4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1),
-)))
+FIRST_SIDES: list[int] = _TABLES["first_sides"]
+"""The shape that predicts each shape: of the left side, or of the eye that looks the same way; -1
+is none."""
+LENGTH_TABLES = tuple(map(make_table, _TABLES["lengths"]))
 """How likely numbers of 0 to 15 bits are: eight for shapes, counted of generated faces, those as
 trackers send them twice; one for rotations and one for translations, of heads that nod, turn and
 rest."""
-# fmt: on
 ROTATION_STEP, TRANSLATION_STEP = 12, 2
 """0.7 mrad and 0.12 mm (a head turns by 2 to 4 mrad a frame and moves by 0.2 to 0.4 mm; with four
 times the step half of its motion was noise: docs/results.md)."""
