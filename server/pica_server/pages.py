@@ -7,12 +7,9 @@ same for every room, and reads what stands in the link. It names its files by a 
 with them, so a browser keeps them for good and never mixes two versions.
 """
 
-import ast
-import base64
 import hashlib
 import json
 import re
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http import HTTPStatus
@@ -180,14 +177,15 @@ def _person(room: Room, member: Connection) -> dict[str, Any]:
 
 
 def page_files() -> dict[str, str]:
-    """The files of the page that are in this package, and the shaders of the client's, by name."""
+    """The files of the page that are in this package, and those that it needs of the client's."""
     files = {
         each.name: each.read_text("utf-8")
         for each in resources.files("pica_server.web").iterdir()
         if each.name.rpartition(".")[2] in CONTENT_TYPES
     }
-    made = {"avatars": avatar_names(), "mouth": mouth_weights(), "shaders": shader_texts()}
-    return {**files, **{f"{name}.json": json.dumps(value) for name, value in made.items()}}
+    files |= {each.name: each.read_text("utf-8") for each in _files("pica_client", "voice/*.json")}
+    made = {"avatars": avatar_names(), "shaders": shader_texts()}
+    return files | {f"{name}.json": json.dumps(value) for name, value in made.items()}
 
 
 class WebPage:
@@ -254,22 +252,6 @@ def shader_texts() -> dict[str, str]:
 def avatar_files() -> list[Path]:
     """The avatars that ship."""
     return _files("pica_core", "avatars/*.pica")
-
-
-def mouth_weights() -> dict[str, dict[str, Any]]:
-    """The network that moves a mouth by a voice: by name the shape of a matrix, and its columns one
-    after the other as half floats in base64."""
-    found = {}
-    for path in _files("pica_client", "voice/mouth.npz"):
-        with zipfile.ZipFile(path) as file:
-            for name in file.namelist():
-                # The format of numpy: ten bytes, of which two are the length of the header.
-                data = file.read(name)
-                begin = 10 + int.from_bytes(data[8:10], "little")
-                header = ast.literal_eval(data[10:begin].decode())
-                halfs = base64.b64encode(data[begin:]).decode()
-                found[Path(name).stem] = {"shape": header["shape"], "halfs": halfs}
-    return found
 
 
 def avatar_names() -> dict[str, str]:

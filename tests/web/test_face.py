@@ -1,6 +1,7 @@
 """A face that a voice moves: the page's mouth and encoder are Python's."""
 
 import base64
+import json
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from helpers.page import Handle, Page
 from pica_client.voice.mouth import MouthFromVoice
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
-from pica_server.pages import avatar_names, mouth_weights
+from pica_server.pages import avatar_names, page_files
 
 pytestmark = pytest.mark.unit
 
@@ -17,10 +18,10 @@ pytestmark = pytest.mark.unit
 def test_a_mouth_moves_as_pythons_does(page: Page) -> None:
     weights = {
         name: {
-            "shape": list(each["shape"]),
+            "shape": each["shape"],
             "values": np.frombuffer(base64.b64decode(each["halfs"]), "<f2").astype(np.float32),
         }
-        for name, each in mouth_weights().items()
+        for name, each in json.loads(page_files()["mouth.json"]).items()
     }
     time_s = np.arange(24_000) / 48_000
     syllables = 0.5 + 0.5 * np.sin(2 * np.pi * 4 * time_s)

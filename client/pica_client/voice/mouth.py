@@ -6,6 +6,8 @@ beyond the moment that it speaks of, for lips move before their sound. Its weigh
 a training that docs/voice.md describes.
 """
 
+import base64
+import json
 from collections import deque
 from dataclasses import replace
 from importlib import resources
@@ -95,13 +97,18 @@ class SpeechFeatures:
         return np.asarray(bands / 8, np.float32)
 
 
+def _matrix(shape: list[int], halfs: str) -> FloatArray:
+    """A matrix whose columns stand one after the other as half floats in base64."""
+    columns = np.frombuffer(base64.b64decode(halfs), "<f2")
+    return columns.reshape(shape, order="F").astype(np.float32)
+
+
 class MouthFromVoice:
     """Hears one voice, and says how the mouth stands."""
 
     def __init__(self) -> None:
-        path = resources.files("pica_client.voice") / "mouth.npz"
-        with path.open("rb") as file, np.load(file) as stored:
-            self._w = {name: stored[name].astype(np.float32) for name in stored.files}
+        text = (resources.files("pica_client.voice") / "mouth.json").read_text("utf-8")
+        self._w = {name: _matrix(**stored) for name, stored in json.loads(text).items()}
         self._features = SpeechFeatures()
         self._state = np.zeros(len(self._w["u"]), np.float32)
         self.push(np.zeros(SAMPLE_RATE_HZ, np.float32))  # it has listened to silence before
