@@ -212,16 +212,11 @@ class PeerLeft(Checked):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerAway(Checked):
-    """A peer lost the connection and may come back: its place and streams are kept."""
+    """A peer lost the connection and may come back: its place and streams are kept. Or it has come
+    back on a new one, also without having been away."""
 
     peer_id: Token
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PeerBack(Checked):
-    """A peer has come back on a new connection; also without a ``PeerAway`` before it."""
-
-    peer_id: Token
+    is_away: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -332,7 +327,7 @@ class Stored(Checked):
     """Whether it has come with this upload; false: it was there already."""
 
 
-RoomNews = PeerJoined | PeerLeft | PeerAway | PeerBack | PeerUpdated | StreamMuted | Whisper
+RoomNews = PeerJoined | PeerLeft | PeerAway | PeerUpdated | StreamMuted | Whisper
 """What a relay says to who is in a room."""
 Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""

@@ -45,7 +45,7 @@ peers = st.builds(
 _FIELDS: dict[str, st.SearchStrategy[object]] = {
     **dict.fromkeys(("room", "peer_id", "identity"), tokens),
     **dict.fromkeys(("resumable", "resumed", "is_admin"), st.booleans()),
-    **dict.fromkeys(("is_muted", "is_barred"), st.booleans()),
+    **dict.fromkeys(("is_muted", "is_barred", "is_away"), st.booleans()),
     "name": names,
     "joined.name": texts,
     "reason": texts,

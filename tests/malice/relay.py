@@ -40,7 +40,6 @@ from pica_protocol.messages import (
     Message,
     Peer,
     PeerAway,
-    PeerBack,
     PeerJoined,
     PeerLeft,
     Track,
@@ -185,7 +184,7 @@ class World:
                 news = [peer.peer_id for peer in peers]
             case PeerJoined(peer=peer):
                 news = [peer.peer_id]
-            case PeerBack(peer_id=peer_id) | PeerLeft(peer_id=peer_id):
+            case PeerAway(peer_id=peer_id, is_away=False) | PeerLeft(peer_id=peer_id):
                 self.dead[person.index].update(self.sealed[peer_id])
                 person.parted.add(peer_id)
                 news = [peer_id]
@@ -340,8 +339,8 @@ class World:
         peer = self.chance.choice(self.peers_told)
         if self.chance.random() < 0.4:
             peer = self.relabelled(peer)
-        gone, back = PeerLeft(peer_id=peer.peer_id), PeerBack(peer_id=peer.peer_id)
-        came, away = PeerJoined(peer=peer), PeerAway(peer_id=peer.peer_id)
+        gone, back = PeerLeft(peer_id=peer.peer_id), PeerAway(peer_id=peer.peer_id, is_away=False)
+        came, away = PeerJoined(peer=peer), PeerAway(peer_id=peer.peer_id, is_away=True)
         told: tuple[Message, ...] = self.chance.choice(
             ((gone, came), (back,), (away, back), (gone,), (came,), (gone, came))
         )

@@ -194,12 +194,11 @@ class Roster:
             case messages.PeerLeft(peer_id=peer_id) if peer_id in self._members:
                 self._away_s.pop(peer_id, None)
                 self._keep([self._members.pop(peer_id)], now, is_told=True)
-            case messages.PeerAway(peer_id=peer_id) if peer_id in self._members:
-                self._members[peer_id] = replace(self._members[peer_id], is_away=True)
-                self._away_s[peer_id] = now
-            case messages.PeerBack(peer_id=peer_id) if peer_id in self._members:
-                member = self._members[peer_id] = replace(self._members[peer_id], is_away=False)
-                if self._away_s.pop(peer_id, None) is None:
+            case messages.PeerAway(peer_id=peer_id, is_away=is_away) if peer_id in self._members:
+                member = self._members[peer_id] = replace(self._members[peer_id], is_away=is_away)
+                if is_away:
+                    self._away_s[peer_id] = now
+                elif self._away_s.pop(peer_id, None) is None:
                     self._tell("back", member)
             case messages.PeerUpdated(peer_id=peer_id, metadata=metadata) if (
                 peer_id in self._members

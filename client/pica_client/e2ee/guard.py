@@ -146,7 +146,7 @@ class Guard:
                 self._enter(event)
             case messages.PeerJoined(peer=peer):
                 self._add(peer)
-            case messages.PeerBack(peer_id=peer_id) if peer_id in self._peers:
+            case messages.PeerAway(peer_id=peer_id, is_away=False) if peer_id in self._peers:
                 self._add(self._peers[peer_id].peer)
             case messages.PeerLeft(peer_id=peer_id):
                 self._remove(peer_id)

@@ -19,7 +19,6 @@ from pica_protocol.messages import (
     Moderation,
     MutePeer,
     PeerAway,
-    PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
@@ -233,7 +232,8 @@ class Membership:
         connection.away_until_s = now + connections.config.resume_grace_s
         self._away[connection] = None
         room.forget_receivers()
-        connections.tell_others(room, connection, PeerAway(peer_id=connection.peer_id), now)
+        away = PeerAway(peer_id=connection.peer_id, is_away=True)
+        connections.tell_others(room, connection, away, now)
 
     def _enter(self, member: Connection, room: Room, joined: Joined, now: float) -> None:
         self.rooms[room.name] = room
@@ -285,7 +285,7 @@ class Membership:
         former.room = None
         joined = room.come_back(connection, former, admission)
         self._accept(connection, room, joined, now)
-        back = PeerBack(peer_id=connection.peer_id)
+        back = PeerAway(peer_id=connection.peer_id, is_away=False)
         connections.tell_others(room, connection, back, now)
         self._note_metadata(connection, join.metadata, now)
         return True
@@ -302,7 +302,7 @@ class Membership:
         member.session.accept(joined)
         self._connections.flush(member, now)
         for other in room.away:
-            self._connections.send(member, PeerAway(peer_id=other.peer_id), now)
+            self._connections.send(member, PeerAway(peer_id=other.peer_id, is_away=True), now)
         for number in room.muted_of(room.members.values()):
             self._connections.send(member, StreamMuted(stream=number, is_muted=True), now)
         if member.default_every:

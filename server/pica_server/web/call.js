@@ -370,9 +370,7 @@ export class Call extends EventTarget {
       this.remove(member);
     } else if (member) {
       if (message.type === "peer_updated") member.peer.metadata = message.metadata;
-      if (message.type === "peer_away" || message.type === "peer_back") {
-        member.isAway = message.type === "peer_away";
-      }
+      if (message.type === "peer_away") member.isAway = message.is_away;
       if (message.type === "whisper") member.isSealed = true;
     }
     this.say("people");

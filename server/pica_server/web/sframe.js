@@ -217,7 +217,7 @@ export class Guard {
     if (type === "joined") await this.enter(message, now);
     else if (type === "peer_joined") await this.add(message.peer, now);
     else if (type === "peer_left") await this.remove(id, now);
-    else if (type === "peer_back" && known) await this.add(known.peer, now);
+    else if (type === "peer_away" && known && !message.is_away) await this.add(known.peer, now);
     else if (type === "whisper" && known) {
       await this.receiveKeys(known, message.data, now).catch((error) => {
         if (!(error instanceof SealError)) throw error;

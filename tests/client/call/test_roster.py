@@ -10,7 +10,6 @@ from pica_protocol.messages import (
     Joined,
     Peer,
     PeerAway,
-    PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
@@ -70,20 +69,20 @@ def test_who_was_there_before_us_is_no_news_and_who_comes_and_goes_is(roster: Ro
 
 
 def test_a_connection_that_is_soon_back_is_not_worth_a_word(roster: Roster) -> None:
-    roster.receive_event(PeerAway(peer_id="p1"), now=11.0)
+    roster.receive_event(PeerAway(peer_id="p1", is_away=True), now=11.0)
     roster.handle_timer(12.0)
     assert roster.members[0].is_away
-    roster.receive_event(PeerBack(peer_id="p1"), now=12.5)
+    roster.receive_event(PeerAway(peer_id="p1", is_away=False), now=12.5)
     roster.handle_timer(20.0)
     assert news(roster) == []
     assert not roster.members[0].is_away
 
 
 def test_who_is_away_for_longer_is_said_to_be_and_to_be_back(roster: Roster) -> None:
-    roster.receive_event(PeerAway(peer_id="p1"), now=11.0)
+    roster.receive_event(PeerAway(peer_id="p1", is_away=True), now=11.0)
     roster.handle_timer(13.0)
     roster.handle_timer(14.0)
-    roster.receive_event(PeerBack(peer_id="p1"), now=15.0)
+    roster.receive_event(PeerAway(peer_id="p1", is_away=False), now=15.0)
     assert news(roster) == [("away", "Ada"), ("back", "Ada")]
 
 
@@ -170,7 +169,11 @@ def test_what_nobody_takes_does_not_pile_up(roster: Roster) -> None:
 
 
 def test_what_comes_of_peers_who_are_not_here_is_ignored(roster: Roster) -> None:
-    for event in (PeerLeft(peer_id="x"), PeerAway(peer_id="x"), PeerBack(peer_id="x")):
+    for event in (
+        PeerLeft(peer_id="x"),
+        PeerAway(peer_id="x", is_away=True),
+        PeerAway(peer_id="x", is_away=False),
+    ):
         roster.receive_event(event, now=11.0)
     roster.receive_event(PeerUpdated(peer_id="x", metadata=RECORDS), now=11.0)
     roster.handle_timer(99.0)

@@ -72,7 +72,7 @@ def test_people_of_one_name_are_told_apart_and_keep_their_numbers() -> None:
         (None, "no face yet"),
         (PeerUpdated(peer_id="p1", metadata=(("face", "muted"),)), "face is off"),
         (PeerUpdated(peer_id="p1", metadata=(("face", "odd"),)), "no face yet"),
-        (PeerAway(peer_id="p1"), "connection lost"),
+        (PeerAway(peer_id="p1", is_away=True), "connection lost"),
         (StreamMuted(stream=1, is_muted=True), "muted by an admin"),
         (Whisper(peer_id="p1", data=b"a key"), "encrypted: the room's secret is needed"),
     ],

@@ -11,7 +11,7 @@ from pica_client.e2ee.guard import YOUNG_KEY_S
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, SILENT_S
 from pica_client.e2ee.secret import RoomSecret, SealState
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Peer, PeerBack, PeerJoined, PeerLeft, Track, Whisper
+from pica_protocol.messages import Peer, PeerAway, PeerJoined, PeerLeft, Track, Whisper
 from pica_protocol.session import ClientEvent, Closed
 
 pytestmark = pytest.mark.unit
@@ -31,7 +31,7 @@ def state(room: Room, name: str, of: str) -> SealState:
 def come_again(room: Room, name: str, forged: str) -> None:
     """Pretend to one member that another one came back, or left and came."""
     peer = room.members["ben"].peer
-    told = {"peer_back": (PeerBack(peer_id="ben"),)}.get(
+    told = {"peer_back": (PeerAway(peer_id="ben", is_away=False),)}.get(
         forged, (PeerLeft(peer_id="ben"), PeerJoined(peer=peer))
     )
     tell(room, name, *told)

@@ -13,7 +13,6 @@ from pica_protocol.messages import (
     Joined,
     Message,
     PeerAway,
-    PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
@@ -45,12 +44,12 @@ def control(heard: list[Message | Frame]) -> list[Message]:
 def test_who_comes_back_in_time_has_its_old_id_and_streams_and_nobody_saw_it_leave() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     former = ada.lose_connection(now=1.0)
-    assert bob.listen(now=1.0) == [PeerAway(peer_id=ada.peer_id)]
+    assert bob.listen(now=1.0) == [PeerAway(peer_id=ada.peer_id, is_away=True)]
     again = come_back(hub, former, now=10.9)
     assert (again.peer_id, again.stream) == (ada.peer_id, ada.stream)
     assert joined_of(again).resumed
     assert list(again.session.peers) == [bob.peer_id]
-    assert bob.listen(now=10.9) == [PeerBack(peer_id=ada.peer_id)]
+    assert bob.listen(now=10.9) == [PeerAway(peer_id=ada.peer_id, is_away=False)]
     assert hub.stats.resumes == {"away": 1, "resumed": 1}
     hub.handle_timer(now=30.0)
     assert bob.listen(now=30.0) == []
@@ -99,7 +98,7 @@ def test_whoever_comes_back_before_the_relay_has_noticed_takes_the_place_over() 
     assert again.peer_id == ada.peer_id
     assert ada.closed_code == CloseCode.REPLACED
     assert isinstance(ada.listen(now=5.0)[-1], Bye)
-    assert bob.listen(now=5.0) == [PeerBack(peer_id=ada.peer_id)]
+    assert bob.listen(now=5.0) == [PeerAway(peer_id=ada.peer_id, is_away=False)]
     hub.disconnect(ada.connection, 1006, "", now=6.0)
     again.send_frame(b"x", now=6.0)
     assert [each.payload for each in bob.listen(now=6.0) if isinstance(each, Frame)] == [b"x"]
@@ -134,7 +133,7 @@ def test_a_newcomer_learns_who_is_away() -> None:
     ada.lose_connection(now=1.0)
     cyd = Member(hub, "Cyd", now=2.0)
     assert set(cyd.session.peers) == {ada.peer_id, bob.peer_id}
-    assert PeerAway(peer_id=ada.peer_id) in cyd.heard
+    assert PeerAway(peer_id=ada.peer_id, is_away=True) in cyd.heard
 
 
 def test_nobody_comes_back_into_another_room_or_with_other_tracks() -> None:
@@ -245,10 +244,10 @@ def test_what_a_peer_says_of_itself_reaches_the_others_and_those_who_come_later(
 def test_what_a_peer_says_when_it_comes_back_is_news_only_if_it_has_changed() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     again = come_back(hub, ada.lose_connection(now=1.0), now=2.0)
-    assert [type(each) for each in bob.listen(now=2.0)] == [PeerAway, PeerBack]
+    assert [type(each) for each in bob.listen(now=2.0)] == [PeerAway] * 2
     former = again.lose_connection(now=3.0)
     Member(hub, "Ada", now=4.0, former=former, metadata=(("hand", "up"),))
-    assert [type(each) for each in bob.listen(now=4.0)] == [PeerAway, PeerBack, PeerUpdated]
+    assert [type(each) for each in bob.listen(now=4.0)] == [PeerAway, PeerAway, PeerUpdated]
 
 
 def test_who_changes_what_it_says_too_often_is_closed() -> None:
@@ -268,5 +267,5 @@ def test_a_slow_reader_that_was_closed_may_come_back_to_its_place() -> None:
     assert hub.take(bob.connection, now=100.0) is not None  # and never sent
     hub.handle_timer(now=110.0)
     assert bob.closed_code == CloseCode.TOO_SLOW
-    assert control(ada.listen(now=110.0)) == [PeerAway(peer_id=bob.peer_id)]
+    assert control(ada.listen(now=110.0)) == [PeerAway(peer_id=bob.peer_id, is_away=True)]
     assert come_back(hub, bob.session, now=111.0, name="Bob").peer_id == bob.peer_id
