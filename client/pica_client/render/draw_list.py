@@ -87,6 +87,11 @@ class ShownHead:
     """All that its layer depends on."""
 
     @property
+    def fades(self) -> bool:
+        """Whether the room is seen through it."""
+        return self.opacity < 1 or self.body.fade_m != WHOLE_M
+
+    @property
     def size(self) -> tuple[int, int]:
         """Columns and rows that it is drawn in."""
         columns, rows = viewport(self.rect)[2:]

@@ -32,6 +32,7 @@ class Layer:
 
     Attributes:
         look: All that what was drawn last depends on.
+        finish: All that `shown` depends on.
         clip_from_head: The matrix that it is drawn with, 16 float32, column by column.
     """
 
@@ -47,16 +48,17 @@ class Layer:
         """What the surface pass writes, keyed by texture unit."""
         self.colour, self.depth = context.texture(size, 4), context.depth_texture(size)
         """Colours times how much of them is there, and that; depths, where 1 is nothing."""
-        self.smooth = context.texture(size, 4)
-        """The same colours, without stair-steps at the silhouette."""
+        self.shown = context.texture(size, 4)
+        """The same colours as they are laid over the room; last, how much of the rest they hide."""
         for texture in (*self.visible.values(), self.colour):
             clamp(texture, moderngl.NEAREST)
-        clamp(self.smooth, moderngl.NEAREST if scale == 1 else moderngl.LINEAR)
+        clamp(self.shown, moderngl.NEAREST if scale == 1 else moderngl.LINEAR)
         self.empty = context.framebuffer([], self.depth)
         self.surface = context.framebuffer(list(self.visible.values()), self.depth)
         self.coloured = context.framebuffer([self.colour], self.depth)
-        self.smoothed = context.framebuffer([self.smooth])
+        self.finished = context.framebuffer([self.shown])
         self.look: Hashable = None
+        self.finish: Hashable = None
         self.clip_from_head = b""
 
     def read(self, texture: moderngl.Texture) -> Array:

@@ -36,6 +36,9 @@ from pica_core.gl import is_software
 
 LayeredHead = tuple[ShownHead, Layer]
 """A head and the layer that it is drawn into."""
+EDGE_STEP, NO_STEP = 0.25, 2.0
+"""Where a neighbour has so much more or less of the head, there is an edge: a bust fades more
+slowly."""
 
 
 class DrawPasses:
@@ -56,9 +59,9 @@ class DrawPasses:
         )
         self._background = self._screen("background.frag")
         self._enlarge = self._screen("enlarge.frag")
-        self._place_whole = self._screen("place_head.frag")
-        self._place_fading = self._screen("place_head.frag", {"FADING": ""})
-        self._smooth = self._screen("smooth_edges.frag")
+        self._finish = self._screen("finish_head.frag")
+        self._finish_fading = self._screen("finish_head.frag", {"FADING": ""})
+        self._place = self._screen("place_head.frag")
         self.placeholder = upload_placeholder(context, self.mesh_programs.static)
         self._queries: list[moderngl.Query] = []
 
@@ -179,46 +182,54 @@ class DrawPasses:
         member.write(layer.clip_from_head)
         set_values(program, box_m=(head.body.low_m, head.body.high_m))
 
-    def smooth(self, heads: Sequence[LayeredHead]) -> None:
-        """Copy layers without the stair-steps of silhouettes."""
+    def finish(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
+        """Copy layers as they are laid over the room: without the stair-steps of silhouettes, and
+        faded where a bust fades."""
         self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        for _, layer in heads:
-            layer.smoothed.use()
+        images.room_image.use(UNIT_ROOM)
+        for head, layer in heads:
+            if not (is_smooth or head.fades):
+                continue
+            layer.finished.use()
             layer.colour.use(UNIT_LAYER)
-            self._smooth.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            width, height = layer.size
+            (left, bottom, _, _), highest = head.rect, math.ceil(max(head.fading_rows))
+            # All of it is there from here on; a GPU gains less by it than one more draw costs.
+            is_split = self._is_software and head.opacity == 1
+            split = math.ceil(layer.scale * (highest - bottom)) if is_split else height
+            split = min(max(split, 0), height) if head.fades else 0
+            fading, whole = (0, 0, width, split), (0, split, width, height)
+            for screen, part in ((self._finish_fading, fading), (self._finish, whole)):
+                if not area_px(part):
+                    continue
+                set_values(screen.program, step=EDGE_STEP if is_smooth else NO_STEP)
+                if screen is self._finish_fading:
+                    set_values(
+                        screen.program,
+                        corner=(left, bottom),
+                        scale=layer.scale,
+                        opacity=head.opacity,
+                        fading=head.fading_rows,
+                    )
+                layer.finished.scissor = viewport(part)
+                screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            layer.finished.scissor = None  # type: ignore[assignment]
 
     def place(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
         """Put the image together: the room, and over it all heads, the farthest first."""
-        context, image = self._context, images.final
+        context, image, program = self._context, images.final, self._place.program
         context.copy_framebuffer(image, images.room)
         context.enable_only(moderngl.BLEND)
         context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
-        images.room_image.use(UNIT_ROOM)
         image.use()
         for head, layer in heads:
-            (layer.smooth if is_smooth else layer.colour).use(UNIT_LAYER)
-            (left, bottom, right, top), highest = head.rect, math.ceil(max(head.fading_rows))
-            # All of it is there from here on; a GPU gains less by it than one more draw costs.
-            is_split = self._is_software and head.opacity == 1
-            split = min(max(highest, bottom), top) if is_split else top
-            fading, whole = (left, bottom, right, split), (left, split, right, top)
-            for screen, part in ((self._place_fading, fading), (self._place_whole, whole)):
-                if area_px(part):
-                    self._set_place(screen.program, head, layer, images.size)
-                    image.scissor = viewport(part)
-                    screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
-        image.scissor = None  # type: ignore[assignment]
+            (layer.shown if is_smooth or head.fades else layer.colour).use(UNIT_LAYER)
+            sides = zip(viewport(head.rect)[2:], layer.size, strict=True)
+            filled = tuple(layer.scale * side / own for side, own in sides)
+            set_values(program, rect=clip_rect(head.rect, images.size), filled=filled)
+            self._place.render(moderngl.TRIANGLE_STRIP, vertices=4)
         context.disable(moderngl.BLEND)
-
-    def _set_place(
-        self, program: moderngl.Program, head: ShownHead, layer: Layer, size: tuple[int, int]
-    ) -> None:
-        sides = zip(viewport(head.rect)[2:], layer.size, strict=True)
-        filled = tuple(layer.scale * side / own for side, own in sides)
-        set_values(program, rect=clip_rect(head.rect, size), filled=filled)
-        if program is self._place_fading.program:
-            set_values(program, opacity=head.opacity, fading=head.fading_rows)
 
     def _screen(self, name: str, defines: Mapping[str, str] | None = None) -> moderngl.VertexArray:
         """A rectangle of the screen, drawn by a program of its own."""

@@ -13,8 +13,8 @@ texture it reaches over; (2) the pixel decoder runs where the first pass has fou
 what does not change with the face is drawn with a texture. So what a head hides of itself costs no
 decoding, and the pixel decoder runs on whole blocks of pixels: drawn triangle by triangle, a mesh
 whose triangles are as small as pixels would run it several times over (llvmpipe and GPUs shade in
-blocks of 2x2 or 4x4 per triangle); (4) its silhouette is smoothed. Then all layers are laid over
-the room, the farthest head first (`layers`).
+blocks of 2x2 or 4x4 per triangle); (4) its silhouette is smoothed, and the bust fades. Then all
+layers are laid over the room, the farthest head first (`layers`).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
 thread of its context. Nothing is allocated on the GPU but for a new size of the image or of a head,
@@ -146,7 +146,7 @@ class Renderer(Closing):
     def forget_frame(self) -> None:
         """Draw the next frame as a whole, whatever stayed the same: for measuring."""
         for layer in self._layers.values():
-            layer.look = None
+            layer.look = layer.finish = None
 
     def add_avatar(self, slot: str, avatar: Avatar) -> None:
         """Put an avatar on the GPU; replaces what was in the slot. Slots with the same avatar
@@ -284,13 +284,22 @@ class Renderer(Closing):
         _crop(changed)
         passes.surfaces(changed)
         pixels = passes.colour(changed, count=count_pixels)
-        is_smooth = self._options.smooth_edges
-        if is_smooth:
-            passes.smooth(changed)
         for head, layer in changed:
             layer.look = head.look
+        is_smooth = self._options.smooth_edges
+        passes.finish(self._images, self._unfinished(), is_smooth=is_smooth)
         passes.place(self._images, self._farthest_first, is_smooth=is_smooth)
         return count_draws(heads, [head for head, _ in changed], pixels, passes.placeholder)
+
+    def _unfinished(self) -> list[LayeredHead]:
+        """Heads that are laid over the room otherwise than before; they count as finished."""
+        found: list[LayeredHead] = []
+        for head, layer in self._shown:
+            finish = head.look, head.opacity, self._drawn_room if head.fades else None
+            if layer.finish != finish:
+                layer.finish = finish
+                found.append((head, layer))
+        return found
 
     @property
     def _farthest_first(self) -> list[LayeredHead]:

@@ -218,7 +218,7 @@ def test_a_size_out_of_range_is_refused(context: moderngl.Context, size: tuple[i
         ("rect.vert", "pixel_decoder.frag", "FILTERED"),
         ("mesh.vert", "textured.frag", ""),
         ("rect.vert", "place_head.frag", ""),
-        ("rect.vert", "smooth_edges.frag", ""),
+        ("rect.vert", "finish_head.frag", ""),
         ("rect.vert", "background.frag", ""),
     ],
 )
