@@ -53,15 +53,15 @@ def decode_frame(fixed: dict[str, Any], payload: bytes) -> tuple[list[int], bool
     coder = _RangeDecoder(payload)
     fineness = fixed["fineness"][coder.symbol(fixed["quality_table"])]
     header = coder.symbol(fixed["header_table"])
-    q = [0] * 58
-    for k in (*range(52 * (header & 1)), *range(52, 52 + 3 * (header & 2))):
+    q = [0] * (58 + 32 * (header & 8))
+    for k in (*range(52 * (header & 1)), *range(52, 52 + 3 * (header & 2)), *range(58, len(q))):
         first = fixed["first"][k]
         q[k] = q[first] if first >= 0 else 0
         if n := coder.symbol(fixed["length_tables"][fixed["tables"][k]]):
             sign = 1 - 2 * coder.number(1) if first >= 0 or k >= 52 else 1
             q[k] += sign * (2 ** (n - 1) + coder.number(n - 1))
     steps = (max(step * fineness // 16, 1) for step in fixed["steps"])
-    c = [number * step for number, step in zip(q, steps, strict=True)]
+    c = [number * step for number, step in zip(q, steps, strict=False)]
     if len(payload) > coder.next or max(map(abs, c)) > 65536 or min(c[:52]) < 0:
         raise ValueError("no payload")
     return c, bool(header & 4)

@@ -25,6 +25,7 @@ from pica_client.transport.link import Link, sleep_until
 from pica_client.voice.mouth import SpokenFace
 from pica_client.voice.source import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
+from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import BEST_QUALITY, DEFAULT_QUALITY, EncodedFrame, LatentEncoder
 from pica_core.types import Image
@@ -63,7 +64,7 @@ class Publisher:
         avatar_identity: Hash of the avatar's file.
 
     Attributes:
-        avatar: What the others draw.
+        avatar: Whose expression encoder makes the latents.
         mode: What becomes of the face from the next frame on, as far as its owner says; any thread
             may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
@@ -77,7 +78,8 @@ class Publisher:
         self._watcher: OnSent | None = None
         self.source = source
         self.seen: ExpressionFrame | None = None
-        self._stream = LatentEncoder(fps=config.fps, quality=config.quality)
+        self._expressions = ExpressionEncoder(avatar)
+        self._stream = LatentEncoder(avatar, fps=config.fps, quality=config.quality)
         self.track = Track(kind=FACE_TRACK, avatar=avatar_identity)
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
@@ -200,7 +202,10 @@ class Publisher:
         # When a tracker saw it, which is before now.
         age_us = round(time_s * 1e6) - frame.captured_us
         captured_us = max(round(now * 1e6) - min(max(age_us, 0), MAX_AGE_US), 0)
-        coded = self._stream.encode(frame.arkit, frame.rotation, frame.translation_m, captured_us)
+        latent = self._expressions.encode(frame.arkit)
+        coded = self._stream.encode(
+            frame.arkit, frame.rotation, frame.translation_m, captured_us, latent=latent
+        )
         if coded is None:
             self._last_sent_s = now
             return  # still: the receivers know, and hold the face

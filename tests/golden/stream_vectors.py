@@ -8,6 +8,7 @@ language; all in it is integers or hexadecimal.
                    last one is held for so many faces more
     streams        by quality, of each frame: multiple, payload, whether the sender falls silent,
                    coefficients
+    rests          frames that hold what is left of latents: payload, coefficients
     damaged        payloads: coefficients, or null for refused
 """
 
@@ -32,6 +33,7 @@ from pica_core.codec.latent_stream import (
     QUALITY_TABLE,
     SHAPE_UNIT,
     decode_frame,
+    encode_frame,
 )
 from pica_core.codec.range_coder import Table
 from pica_core.errors import LatentError
@@ -82,6 +84,7 @@ def made_vectors() -> dict[str, Any]:
             "num_held": 40,
         },
         "streams": {},
+        "rests": [],
         "damaged": [],
     }
     for quality in QUALITIES:
@@ -103,6 +106,11 @@ def made_vectors() -> dict[str, Any]:
                     {"payload": payload.hex(), "coefficients": decoded(payload)}
                 )
         vectors["streams"][str(quality)] = frames
+    for reach in (0, 1, 40):
+        numbers = [abs(rng.randint(-3, 3)) for _ in range(58)]
+        rest = [rng.randint(-reach, reach) for _ in range(255)]
+        payload = encode_frame([*numbers, *rest, 1], 3)
+        vectors["rests"].append({"payload": payload.hex(), "coefficients": decoded(payload)})
     return vectors
 
 

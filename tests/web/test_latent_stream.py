@@ -24,6 +24,12 @@ def test_the_golden_streams_are_decoded(page: Page) -> None:
             assert found["isStill"] == frame["is_still"]
 
 
+def test_what_is_left_of_latents_is_read(page: Page) -> None:
+    for entry in VECTORS["rests"]:
+        found = page.call("latent_stream", "decodeFrame", bytes.fromhex(entry["payload"]))
+        assert found["coefficients"] == entry["coefficients"]
+
+
 def test_a_decoded_face_is_that_of_python(page: Page) -> None:
     tensors = make_toy_avatar().tensors
     layers = {name: array for name, array in tensors.items() if name.startswith("encoder.")}

@@ -1,15 +1,16 @@
 """The latent stream: faces in, a few bytes a frame out, and back. Every frame is decoded alone.
 
-    encoder = LatentEncoder(fps=30)
-    frame = encoder.encode(arkit, rotation, translation_m, now_us)  # None: the face is still
+    encoder = LatentEncoder(avatar, fps=30)
+    frame = encoder.encode(arkit, rotation, translation_m, now_us, latent=latent)  # None: still
     sample = LatentDecoder(avatar).decode(frame.payload)
 
-A frame holds 52 values, of which the expression encoder in the avatar file makes the latent. They
-say it in a third less bits than transforms of its 256 numbers, learned for each avatar, at the same
-error of the picture, as they are few, most of them 0, none below, and alike on both sides of a
-face.
+A latent is predicted by the expression encoder in the avatar file, of 52 values that stand in the
+frame, and the frame holds what is left of it. Of a face that was driven by such values nothing is
+left: they say the latent in a third less bits than transforms of its 256 numbers, learned for each
+avatar, at the same error of the picture, as they are few, most of them 0, none below, and alike on
+both sides of a face. A latent of any other encoder, as that of a capture, is all left over.
 
-    latent      = expression encoder(values)
+    latent      = expression encoder(values) + rest
     coefficient = value / step, rounded to the nearest, or of shapes towards what predicts it where
                   that saves enough bits
 
@@ -48,7 +49,7 @@ from pica_core.codec.range_coder import (
     write_symbols,
 )
 from pica_core.errors import LatentError, ShapeError
-from pica_core.types import MAX_LATENT_LENGTH, FloatArray, Int64Array
+from pica_core.types import LATENT_SHAPE, MAX_LATENT_LENGTH, NUM_LATENT, FloatArray, Int64Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -76,9 +77,9 @@ class EncodedFrame:
     number."""
 
 
-HAS_FACE, HAS_POSE, IS_STILL = 1, 2, 4
-SHAPE_UNIT, POSE_UNIT = 2.0**-12, 2.0**-14
-"""Of shape values; of radians and metres."""
+HAS_FACE, HAS_POSE, IS_STILL, HAS_REST = 1, 2, 4, 8
+SHAPE_UNIT, POSE_UNIT, REST_UNIT = 2.0**-12, 2.0**-14, 2.0**-10
+"""Of shape values; of radians and metres; of the rest of a latent."""
 _TABLES = json.loads(files("pica_core.codec").joinpath("tables.json").read_text("utf-8"))
 """The numbers of `docs/wire.md`."""
 QUALITY_TABLE, HEADER_TABLE = make_table(_TABLES["quality"]), make_table(_TABLES["header"])
@@ -98,6 +99,8 @@ rest."""
 ROTATION_STEP, TRANSLATION_STEP = 12, 2
 """0.7 mrad and 0.12 mm (a head turns by 2 to 4 mrad a frame and moves by 0.2 to 0.4 mm; with four
 times the step half of its motion was noise: docs/results.md)."""
+REST_STEP, REST_TABLE = 32, 4
+"""How finely the rest of a latent is told, and the row of its lengths (chosen)."""
 FINENESS = (36, 28, 21, 16, 12, 9, 6, 4)
 """By quality, the finest last: 16ths of the usual steps."""
 DEFAULT_QUALITY, BEST_QUALITY = 3, len(FINENESS) - 1
@@ -116,6 +119,8 @@ MAX_SHAPE = 2.0
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
+MAX_REST = 16.0
+"""What is left of each number of a latent is clamped to this; codes are about 1."""
 MAX_COEFFICIENT = 1 << 16
 """A decoder refuses coefficients beyond."""
 
@@ -142,15 +147,22 @@ COEFFICIENTS = (
     ),
     *[Coefficient(ROTATION_STEP, LENGTH_TABLES[8], -1, True)] * 3,
     *[Coefficient(TRANSLATION_STEP, LENGTH_TABLES[9], -1, True)] * 3,
+    *[Coefficient(REST_STEP, LENGTH_TABLES[REST_TABLE], -1, True)] * NUM_LATENT,
 )
-"""Of the 52 shapes, and of rotation and translation."""
-PLACES = {HAS_FACE: range(NUM_ARKIT), HAS_POSE: range(NUM_ARKIT, len(COEFFICIENTS))}
+"""Of the 52 shapes, of rotation and translation, and of the rest of the latent."""
+NUM_DRIVEN = len(COEFFICIENTS) - NUM_LATENT
+"""Coefficients of a frame without a rest."""
+PLACES = {
+    HAS_FACE: range(NUM_ARKIT),
+    HAS_POSE: range(NUM_ARKIT, NUM_DRIVEN),
+    HAS_REST: range(NUM_DRIVEN, len(COEFFICIENTS)),
+}
 USUAL_STEPS = np.array([each.step for each in COEFFICIENTS])
 
 
 @cache
 def steps_of(quality: int) -> Int64Array:
-    """The step of each coefficient, ``[58]``, in its unit."""
+    """The step of each coefficient, ``[314]``, in its unit."""
     steps: Int64Array = np.maximum(USUAL_STEPS * FINENESS[quality] // 16, 1)
     steps.flags.writeable = False
     return steps
@@ -158,10 +170,12 @@ def steps_of(quality: int) -> Int64Array:
 
 def quantise(wanted: Int64Array, quality: int) -> list[int]:
     """Coefficients in steps, rounded to the nearest, or by one nearer to what predicts them where
-    the bits are worth the error (`BIT_PRICE`; poses keep the nearest)."""
+    the bits are worth the error (`BIT_PRICE`; poses keep the nearest); none of a rest of zeros."""
+    if not wanted[NUM_DRIVEN:].any():
+        wanted = wanted[:NUM_DRIVEN]
     numbers: list[int] = []
     for value, step, how in zip(
-        wanted.tolist(), steps_of(quality).tolist(), COEFFICIENTS, strict=True
+        wanted.tolist(), steps_of(quality).tolist(), COEFFICIENTS, strict=False
     ):
         nearest = (2 * value + step) // (2 * step)
         ahead = nearest - (numbers[how.first] if how.first >= 0 else 0)
@@ -186,8 +200,8 @@ def encode_frame(numbers: list[int], quality: int, *, is_still: bool = False) ->
     """Write one frame.
 
     Args:
-        numbers: 58 coefficients in steps, within `MAX_COEFFICIENT` when multiplied by them,
-            those of shapes at least 0.
+        numbers: Coefficients in steps, 58 or 314, within `MAX_COEFFICIENT` when multiplied by
+            them, those of shapes at least 0.
         quality: Index of `FINENESS`.
         is_still: Whether the sender falls silent after it.
     """
@@ -209,14 +223,15 @@ def decode_frame(payload: bytes) -> tuple[Int64Array, bool]:
     """Read one frame.
 
     Returns:
-        Its coefficients, ``[58]``, and whether the sender falls silent after it.
+        Its coefficients, ``[58]``, or ``[314]`` with the rest of a latent, and whether the sender
+        falls silent after it.
 
     Raises:
         LatentError: The payload is none that an encoder writes.
     """
     reader = SymbolReader(payload)
     quality, header = reader.read(QUALITY_TABLE), reader.read(HEADER_TABLE)
-    numbers = [0] * len(COEFFICIENTS)
+    numbers = [0] * (len(COEFFICIENTS) if header & HAS_REST else NUM_DRIVEN)
     for place in (place for part, places in PLACES.items() if header & part for place in places):
         how = COEFFICIENTS[place]
         number = numbers[how.first] if how.first >= 0 else 0
@@ -226,7 +241,7 @@ def decode_frame(payload: bytes) -> tuple[Int64Array, bool]:
             number += -magnitude if is_negative else magnitude
         numbers[place] = number
     reader.finish()
-    coefficients = np.array(numbers, np.int64) * steps_of(quality)
+    coefficients = np.array(numbers, np.int64) * steps_of(quality)[: len(numbers)]
     if coefficients[:NUM_ARKIT].min() < 0:
         raise LatentError("a shape is negative")
     if np.abs(coefficients).max() > MAX_COEFFICIENT:
@@ -238,11 +253,15 @@ class LatentEncoder:
     """The sending end of one stream.
 
     Args:
+        avatar: Whose expression encoder predicts latents; needed for those of another encoder.
         fps: Frames a second that `encode` is called with; decides which may be left out.
         quality: Index of `FINENESS`; each step up costs about a sixth more bits.
     """
 
-    def __init__(self, *, fps: float = 30.0, quality: int = DEFAULT_QUALITY) -> None:
+    def __init__(
+        self, avatar: Avatar | None = None, *, fps: float = 30.0, quality: int = DEFAULT_QUALITY
+    ) -> None:
+        self._expressions = None if avatar is None else ExpressionEncoder(avatar)
         self._quality = quality
         self._multiples: tuple[int, ...] = (4, 1, 2, 1)
         if fps < 4 * LEAST_QUARTER_FPS:
@@ -262,6 +281,8 @@ class LatentEncoder:
         rotation: npt.ArrayLike,
         translation_m: npt.ArrayLike,
         now_us: int,
+        *,
+        latent: FloatArray | None = None,
     ) -> EncodedFrame | None:
         """Encode the next frame.
 
@@ -270,15 +291,17 @@ class LatentEncoder:
             rotation: Head pose, rotation vector, radians ``[3]``.
             translation_m: Offset from the seat, metres ``[3]``.
             now_us: Sender's clock, microseconds; never runs backwards.
+            latent: The face, ``[8, 8, 4]``; by default what the avatar's expression encoder makes
+                of `arkit`. One of another encoder takes five to ten times the bytes.
 
         Returns:
             The frame to send, or None: the face is still.
 
         Raises:
             ShapeError: An argument of another shape.
-            LatentError: A value that is not finite.
+            LatentError: A value that is not finite, or a latent without an avatar.
         """
-        wanted = _coefficients(arkit, rotation, translation_m)
+        wanted = self._coefficients(arkit, rotation, translation_m, latent)
         is_quiet = self._sent is not None and bool(
             (np.abs(wanted - self._sent) < USUAL_STEPS).all()
         )
@@ -300,23 +323,33 @@ class LatentEncoder:
         self._sent, self._sent_us = wanted, now_us
         return EncodedFrame(payload, multiple)
 
-
-def _coefficients(
-    arkit: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
-) -> Int64Array:
-    """A face in units, clamped. ``[58]``."""
-    values = np.asarray(arkit, np.float64)
-    pose = np.array((rotation, translation_m), np.float64)
-    if values.shape != (NUM_ARKIT,) or pose.shape != (2, 3):
-        raise ShapeError(
-            f"arkit is {values.shape} and the pose {pose.shape}; "
-            f"({NUM_ARKIT},) and (2, 3) are needed"
-        )
-    if not (np.isfinite(values).all() and np.isfinite(pose).all()):
-        raise LatentError("arkit or pose holds a value that is not finite")
-    units = np.clip(values, 0, MAX_SHAPE) / SHAPE_UNIT
-    posed = np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT
-    return np.rint(np.concatenate((units, posed))).astype(np.int64)
+    def _coefficients(
+        self,
+        arkit: npt.ArrayLike,
+        rotation: npt.ArrayLike,
+        translation_m: npt.ArrayLike,
+        latent: FloatArray | None,
+    ) -> Int64Array:
+        values = np.asarray(arkit, np.float64)
+        pose = np.array((rotation, translation_m), np.float64)
+        rest: FloatArray = np.zeros(LATENT_SHAPE, np.float32)
+        if values.shape != (NUM_ARKIT,) or pose.shape != (2, 3):
+            raise ShapeError(
+                f"arkit is {values.shape} and the pose {pose.shape}; "
+                f"({NUM_ARKIT},) and (2, 3) are needed"
+            )
+        if latent is not None:
+            if self._expressions is None:
+                raise LatentError("a latent is given, but not the avatar that predicts it")
+            if latent.shape != LATENT_SHAPE:
+                raise ShapeError(f"latent is {latent.shape}; {LATENT_SHAPE} is needed")
+            rest = latent - self._expressions.encode(values)
+        if not all(np.isfinite(each).all() for each in (values, pose, rest)):
+            raise LatentError("arkit, pose or latent holds a value that is not finite")
+        units = np.clip(values, 0, MAX_SHAPE) / SHAPE_UNIT
+        posed = np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT
+        left = np.clip(rest.reshape(-1), -MAX_REST, MAX_REST) / REST_UNIT
+        return np.rint(np.concatenate((units, posed, left))).astype(np.int64)
 
 
 class LatentDecoder:
@@ -332,8 +365,11 @@ class LatentDecoder:
             LatentError: The payload is none that an encoder writes.
         """
         coefficients, is_still = decode_frame(payload)
-        pose = (coefficients[NUM_ARKIT:] * POSE_UNIT).astype(np.float32)
+        pose = (coefficients[NUM_ARKIT:NUM_DRIVEN] * POSE_UNIT).astype(np.float32)
         latent = self._expressions.encode(coefficients[:NUM_ARKIT] * SHAPE_UNIT)
+        if len(coefficients) > NUM_DRIVEN:
+            rest = coefficients[NUM_DRIVEN:].reshape(LATENT_SHAPE) * REST_UNIT
+            latent += rest.astype(np.float32)
         if (length := np.linalg.norm(latent.astype(np.float64))) > MAX_LATENT_LENGTH:
             latent *= np.float32(MAX_LATENT_LENGTH / length)
         return LatentSample(

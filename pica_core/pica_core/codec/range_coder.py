@@ -19,7 +19,7 @@ RANGE_BYTES = 6
 _FULL_RANGE = 1 << (8 * RANGE_BYTES)
 _LEAST_RANGE = _FULL_RANGE >> 8
 MAX_PAYLOAD_BYTES = 1280
-"""Longest payload that is looked at; faces take 10 to 50."""
+"""Longest payload that is looked at; faces take 10 to 50, 200 of another encoder's latents."""
 
 Range = tuple[int, int]
 """Start and frequency of one symbol."""

@@ -10,8 +10,10 @@ export const NUM_ARKIT = 52;
 const [TOTAL_BITS, TOTAL] = [14, 1 << 14];
 const [FULL_RANGE, LEAST_RANGE] = [2 ** 48, 2 ** 40];
 const MAX_PAYLOAD_BYTES = 1280;
-const [HAS_FACE, HAS_POSE, IS_STILL] = [1, 2, 4];
-const [SHAPE_UNIT, POSE_UNIT] = [2 ** -12, 2 ** -14];
+const [HAS_FACE, HAS_POSE, IS_STILL, HAS_REST] = [1, 2, 4, 8];
+const [SHAPE_UNIT, POSE_UNIT, REST_UNIT] = [2 ** -12, 2 ** -14, 2 ** -10];
+/** Coefficients of a frame without what is left of a latent. */
+const NUM_DRIVEN = NUM_ARKIT + 6;
 const MAX_SHAPE = 2;
 const MAX_COEFFICIENT = 1 << 16;
 /** Longer latents are shortened to this. */
@@ -22,17 +24,17 @@ const FINENESS = [36, 28, 21, 16, 12, 9, 6, 4];
 const DEFAULT_QUALITY = 3;
 /** A bit less is worth so much more squared error of a shape, in squared steps. */
 const BIT_PRICE = 0.15;
-/** Of the 52 shapes, the rotation and the translation. */
+/** Of the 52 shapes, the rotation, the translation, and what is left of a latent. */
 const USUAL_STEPS = [
   62, 70, 109, 97, 111, 200, 177, 62, 70, 97, 109, 111, 200, 177, 58, 90, 83, 15, 24, 49, 76, 55,
   56, 68, 68, 185, 185, 165, 165, 156, 156, 67, 106, 53, 93, 162, 162, 130, 130, 84, 84, 120, 120,
   78, 68, 68, 62, 165, 165, 66, 66, 200,
-  12, 12, 12, 2, 2, 2,
+  12, 12, 12, 2, 2, 2, ...Array(NUM_LATENT).fill(32),
 ];
 const TABLES = [
   4, 6, 4, 4, 5, 5, 5, 0, 0, 2, 2, 0, 0, 0, 3, 2, 2, 7, 4, 6, 4, 3, 3, 6, 1, 5, 0, 5, 0, 5, 0, 4, 5,
   6, 5, 5, 0, 5, 1, 6, 1, 4, 1, 6, 6, 1, 3, 5, 1, 6, 1, 2,
-  8, 8, 8, 9, 9, 9,
+  8, 8, 8, 9, 9, 9, ...Array(NUM_LATENT).fill(4),
 ];
 /** Which coefficient predicts each, where one does. @type {Record<number, number>} */
 const FIRST = {
@@ -52,7 +54,7 @@ const LENGTH_TABLES = [
   [4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1],
 ].map(tableOf);
 const QUALITY_TABLE = tableOf([192, 192, 192, 11426, 3810, 191, 191, 190]);
-const HEADER_TABLE = tableOf([1, 4600, 2, 11450, 1, 59, 1, 270]);
+const HEADER_TABLE = tableOf([1, 4600, 2, 11440, 1, 59, 1, 270, 1, 1, 1, 3, 1, 1, 1, 1]);
 
 /** What cannot be read as a frame. */
 export class LatentError extends Error {}
@@ -136,9 +138,9 @@ export function decodeFrame(payload) {
   const header = reader.symbol(HEADER_TABLE);
   /** @type {number[]} */
   const numbers = [];
-  TABLES.forEach((table, place) => {
+  TABLES.slice(0, header & HAS_REST ? TABLES.length : NUM_DRIVEN).forEach((table, place) => {
     const start = numbers[FIRST[place]] ?? 0;
-    const isCoded = header & (place < NUM_ARKIT ? HAS_FACE : HAS_POSE);
+    const isCoded = place >= NUM_DRIVEN || header & (place < NUM_ARKIT ? HAS_FACE : HAS_POSE);
     const length = isCoded ? reader.symbol(LENGTH_TABLES[table]) : 0;
     if (!length) return numbers.push(start);
     const sign = isSigned(place) && reader.uniform(1) ? -1 : 1;
@@ -158,12 +160,14 @@ export function decodeFrame(payload) {
 export function decodeFace(encode, payload) {
   const { coefficients, isStill } = decodeFrame(payload);
   const shapes = coefficients.slice(0, NUM_ARKIT).map((value) => value * SHAPE_UNIT);
-  const latent = encode(Float32Array.from(shapes));
+  const rest = coefficients.slice(NUM_DRIVEN);
+  const latent = encode(Float32Array.from(shapes))
+    .map((value, place) => value + (rest[place] ?? 0) * REST_UNIT);
   const length = Math.sqrt(latent.reduce((sum, value) => sum + value ** 2, 0));
   const shorter = Math.min(MAX_LENGTH / length, 1);
   const values = new Float32Array(NUM_VALUES);
   values.set(shorter < 1 ? latent.map((value) => value * shorter) : latent);
-  const pose = coefficients.slice(NUM_ARKIT).map((value) => value * POSE_UNIT);
+  const pose = coefficients.slice(NUM_ARKIT, NUM_DRIVEN).map((value) => value * POSE_UNIT);
   values.set(pose, NUM_LATENT);
   return { values, isStill };
 }

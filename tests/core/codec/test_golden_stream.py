@@ -50,6 +50,13 @@ def test_golden_payloads_decode_to_golden_faces() -> None:
         )
 
 
+def test_what_is_left_of_latents_is_read_by_both() -> None:
+    for entry in VECTORS["rests"]:
+        payload = bytes.fromhex(entry["payload"])
+        assert decoded(payload) == entry["coefficients"]
+        assert SECOND["decode_frame"](VECTORS["fixed"], payload)[0] == entry["coefficients"]
+
+
 def test_damaged_payloads_give_golden_numbers_or_are_refused_by_both() -> None:
     for entry in VECTORS["damaged"]:
         payload = bytes.fromhex(entry["payload"])

@@ -6,15 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.stream_toy import STILL, Publisher, toy_faces
+from helpers.toy import make_toy_avatar
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.codec.latent_stream import (
-    COEFFICIENTS,
     DEFAULT_QUALITY,
     FIRST_SIDES,
     HEARTBEAT_US,
     MAX_COEFFICIENT,
+    NUM_DRIVEN,
+    REST_STEP,
+    REST_UNIT,
     SHAPE_UNIT,
     STILL_AFTER_US,
+    LatentDecoder,
     LatentEncoder,
     decode_frame,
     encode_frame,
@@ -22,7 +27,7 @@ from pica_core.codec.latent_stream import (
     steps_of,
 )
 from pica_core.errors import LatentError, ShapeError
-from pica_core.types import Float64Array
+from pica_core.types import LATENT_SHAPE, NUM_LATENT, Float64Array
 
 pytestmark = pytest.mark.unit
 
@@ -44,11 +49,12 @@ def rested(face: Float64Array, num_frames: int, quality: int = DEFAULT_QUALITY) 
     quality=st.integers(0, 7),
     reach=st.sampled_from([0, 1, 15, 30, 3000]),
     is_still=st.booleans(),
+    has_rest=st.booleans(),
 )
 def test_any_coefficients_come_back_as_they_were(
-    seed: int, quality: int, reach: int, is_still: bool
+    seed: int, quality: int, reach: int, is_still: bool, has_rest: bool
 ) -> None:
-    steps = steps_of(quality)
+    steps = steps_of(quality)[: None if has_rest and reach else NUM_DRIVEN]
     values = np.random.default_rng(seed).integers(-reach, reach + 1, len(steps))
     values[:NUM_ARKIT] = np.abs(values[:NUM_ARKIT])
     numbers = np.clip(values, -MAX_COEFFICIENT // steps + 1, MAX_COEFFICIENT // steps)
@@ -82,8 +88,8 @@ def test_a_still_frame_is_one_quality_finer() -> None:
     publisher = rested(toy_faces(1, 60)[20], 60, quality=0)
     coefficients, is_still = decode_frame(publisher.sent[-1].payload)
     assert is_still
-    assert not np.any(coefficients % steps_of(1))
-    assert np.any(coefficients % steps_of(0))
+    assert not np.any(coefficients % steps_of(1)[:NUM_DRIVEN])
+    assert np.any(coefficients % steps_of(0)[:NUM_DRIVEN])
 
 
 def test_a_movement_ends_the_silence_at_once_and_for_everybody() -> None:
@@ -135,18 +141,18 @@ def test_another_shape_is_refused_by_name() -> None:
 
 
 def test_a_sender_saves_bytes_and_stays_within_a_step() -> None:
-    steps, sizes = steps_of(DEFAULT_QUALITY), np.zeros(2)
+    steps, sizes = steps_of(DEFAULT_QUALITY)[:NUM_DRIVEN], np.zeros(2)
     for face in toy_faces(5, 300):
-        exact = np.append(np.rint(face / SHAPE_UNIT), np.zeros(6)).astype(np.int64)
-        nearest = np.rint(exact / steps).astype(int).tolist()
+        exact = np.append(np.rint(face / SHAPE_UNIT), np.zeros(6 + NUM_LATENT)).astype(np.int64)
+        nearest = np.rint(exact[:NUM_DRIVEN] / steps).astype(int).tolist()
         spared = quantise(exact, DEFAULT_QUALITY)
-        assert (np.abs(spared * steps - exact) < steps).all()
+        assert (np.abs(spared * steps - exact[:NUM_DRIVEN]) < steps).all()
         sizes += [len(encode_frame(numbers, DEFAULT_QUALITY)) for numbers in (nearest, spared)]
     assert sizes[1] < 0.98 * sizes[0]
 
 
 def test_a_face_that_is_alike_on_both_sides_costs_little_more_than_one_side() -> None:
-    left = np.zeros(len(COEFFICIENTS), int)
+    left = np.zeros(NUM_DRIVEN, int)
     left[[first for first in FIRST_SIDES if first >= 0]] = 5
     both = left.copy()
     both[:NUM_ARKIT] = [
@@ -157,7 +163,27 @@ def test_a_face_that_is_alike_on_both_sides_costs_little_more_than_one_side() ->
 
 
 def test_a_second_side_below_none_is_refused() -> None:
-    below = [0] * len(COEFFICIENTS)
+    below = [0] * NUM_DRIVEN
     below[FIRST_SIDES.index(0)] = -1  # less than a first side that is 0
     with pytest.raises(LatentError, match="negative"):
         decode_frame(encode_frame(below, DEFAULT_QUALITY))
+
+
+def test_a_latent_of_another_encoder_arrives_within_half_a_step() -> None:
+    avatar, rng = make_toy_avatar(), np.random.default_rng(1)
+    encoder, decoder = LatentEncoder(avatar), LatentDecoder(avatar)
+    driven, arkit = ExpressionEncoder(avatar), toy_faces(1, 1)[0]
+    own = encoder.encode(arkit, STILL, STILL, 0, latent=driven.encode(arkit))
+    plain = LatentEncoder().encode(arkit, STILL, STILL, 0)
+    assert own == plain, "of a latent that the values make nothing is left"
+    for number in range(1, 20):
+        latent = rng.normal(0, 0.5, LATENT_SHAPE).astype(np.float32)
+        sent = encoder.encode(np.zeros(NUM_ARKIT), STILL, STILL, number * FRAME_US, latent=latent)
+        assert sent is not None
+        got = decoder.decode(sent.payload).latent
+        assert np.abs(got - latent).max() <= 0.52 * REST_STEP * REST_UNIT
+        assert len(sent.payload) < 256
+    with pytest.raises(LatentError, match="not the avatar"):
+        LatentEncoder().encode(arkit, STILL, STILL, 0, latent=latent)
+    with pytest.raises(ShapeError, match=r"latent is \(4, 4, 4\)"):
+        encoder.encode(arkit, STILL, STILL, 10**6, latent=np.zeros((4, 4, 4), np.float32))
