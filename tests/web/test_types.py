@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 WEB = ROOT / "server" / "pica_server" / "web"
 KINDS = {".js", ".ts", ".html", ".css"}
 TSC = HERE / "node_modules" / ".bin" / "tsc"
-MAX_LINES, MAX_BYTES = 5_315, 227_000
+MAX_LINES, MAX_BYTES = 5_317, 227_100
 
 
 def test_modules_are_typed() -> None:

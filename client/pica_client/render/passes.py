@@ -48,8 +48,8 @@ class DrawPasses:
         ShaderError: The driver refuses our shaders.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
+    def __init__(self, context: moderngl.Context, *, smooth_edges: bool) -> None:
+        self._context, self._is_smooth = context, smooth_edges
         self._is_software = is_software(str(context.info["GL_RENDERER"]))
         mesh, surface = compose("mesh.vert", defines={"MAPPED": ""}), compose("surface.frag")
         self.mesh_programs = MeshPrograms(
@@ -61,6 +61,8 @@ class DrawPasses:
         self._enlarge = self._screen("enlarge.frag")
         self._finish = self._screen("finish_head.frag")
         self._finish_fading = self._screen("finish_head.frag", {"FADING": ""})
+        for screen in (self._finish, self._finish_fading):
+            set_values(screen.program, step=EDGE_STEP if smooth_edges else NO_STEP)
         self._place = self._screen("place_head.frag")
         self.placeholder = upload_placeholder(context, self.mesh_programs.static)
         self._queries: list[moderngl.Query] = []
@@ -182,13 +184,13 @@ class DrawPasses:
         member.write(layer.clip_from_head)
         set_values(program, box_m=(head.body.low_m, head.body.high_m))
 
-    def finish(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
+    def finish(self, images: Images, heads: Sequence[LayeredHead]) -> None:
         """Copy layers as they are laid over the room: without the stair-steps of silhouettes, and
         faded where a bust fades."""
         self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         images.room_image.use(UNIT_ROOM)
         for head, layer in heads:
-            if not (is_smooth or head.fades):
+            if not (self._is_smooth or head.fades):
                 continue
             layer.finished.use()
             layer.colour.use(UNIT_LAYER)
@@ -202,12 +204,10 @@ class DrawPasses:
             for screen, part in ((self._finish_fading, fading), (self._finish, whole)):
                 if not area_px(part):
                     continue
-                set_values(screen.program, step=EDGE_STEP if is_smooth else NO_STEP)
                 if screen is self._finish_fading:
                     set_values(
                         screen.program,
-                        corner=(left, bottom),
-                        scale=layer.scale,
+                        corner=(left, bottom, layer.scale),
                         opacity=head.opacity,
                         fading=head.fading_rows,
                     )
@@ -215,7 +215,7 @@ class DrawPasses:
                 screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
             layer.finished.scissor = None  # type: ignore[assignment]
 
-    def place(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
+    def place(self, images: Images, heads: Sequence[LayeredHead]) -> None:
         """Put the image together: the room, and over it all heads, the farthest first."""
         context, image, program = self._context, images.final, self._place.program
         context.copy_framebuffer(image, images.room)
@@ -224,7 +224,7 @@ class DrawPasses:
         context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
         image.use()
         for head, layer in heads:
-            (layer.shown if is_smooth or head.fades else layer.colour).use(UNIT_LAYER)
+            (layer.shown if self._is_smooth or head.fades else layer.colour).use(UNIT_LAYER)
             sides = zip(viewport(head.rect)[2:], layer.size, strict=True)
             filled = tuple(layer.scale * side / own for side, own in sides)
             set_values(program, rect=clip_rect(head.rect, images.size), filled=filled)

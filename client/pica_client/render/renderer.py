@@ -122,7 +122,7 @@ class Renderer(Closing):
         self._options = options or RenderOptions()
         self.gl_renderer = str(context.info["GL_RENDERER"])
         self.weights = self._choose_weights()
-        self._passes = DrawPasses(context)
+        self._passes = DrawPasses(context, smooth_edges=self._options.smooth_edges)
         self._slots: dict[str, RenderSlot] = {}
         self._layers: dict[tuple[str, int], Layer] = {}
         self._shown: list[LayeredHead] = []
@@ -286,9 +286,8 @@ class Renderer(Closing):
         pixels = passes.colour(changed, count=count_pixels)
         for head, layer in changed:
             layer.look = head.look
-        is_smooth = self._options.smooth_edges
-        passes.finish(self._images, self._unfinished(), is_smooth=is_smooth)
-        passes.place(self._images, self._farthest_first, is_smooth=is_smooth)
+        passes.finish(self._images, self._unfinished())
+        passes.place(self._images, self._farthest_first)
         return count_draws(heads, [head for head, _ in changed], pixels, passes.placeholder)
 
     def _unfinished(self) -> list[LayeredHead]:

@@ -23,12 +23,12 @@ export function openRenderer(graphics, hasRoom = true) {
   const background = graphics.screen("background.frag");
   const enlarge = graphics.screen("enlarge.frag");
   // Over a transparent ground there is nothing to fade into.
-  const placeHead = graphics.screen("place_head.frag", hasRoom ? { FADING: "" } : {});
-  const smooth = graphics.screen("smooth_edges.frag");
+  const finish = graphics.screen("finish_head.frag", hasRoom ? { FADING: "" } : {});
+  const placeHead = graphics.screen("place_head.frag");
   const decoder = openDecoder(graphics);
   const smallRoom = graphics.texture("RGBA16F", 224, 160, { smooth: true });
   const smallTarget = graphics.target([smallRoom]);
-  /** @type {(Target & {image: Texture, drawn: string}) | null} */
+  /** @typedef {Target & {image: Texture, drawn: string}} RoomImage @type {RoomImage | null} */
   let roomImage = null;
   /** What heads with the same avatar share, and how many they are.
    * @type {Map<Avatar, {body: AvatarBody, count: number}>} */
@@ -105,8 +105,7 @@ export function openRenderer(graphics, hasRoom = true) {
     return layers[index];
   }
 
-  /** Surface, pixels, what has a texture, and the silhouette of one head; how many triangles.
-   * @param {Shown} shown */
+  /** Surface, pixels and what has a texture of one head; how many triangles. @param {Shown} shown */
   function drawLayer({ placement: { look: { body, maps } }, matrix, view, rect, key, layer }) {
     const { level } = maps;
     const { position, expression } = maps.of(level);
@@ -130,14 +129,12 @@ export function openRenderer(graphics, hasRoom = true) {
     }
     gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.CULL_FACE);
-    graphics.draw(smooth, layer.smoothed, { layer: layer.colour });
     layer.drawn = key;
     return ((decoded?.count ?? 0) + (textured?.count ?? 0)) / 3;
   }
 
-  /** Draw the room where it looks different; its image, and whether it did.
-   * @type {(views: View[], room: Room, target: Target) => Target & {isNew: boolean, image: Texture}}
-   */
+  /** Draw the room where it looks different; its image.
+   * @type {(views: View[], room: Room, target: Target) => RoomImage} */
   function drawRoom(views, room, { width, height }) {
     if (roomImage?.width !== width || roomImage.height !== height) {
       graphics.free(roomImage?.image, roomImage);
@@ -149,10 +146,9 @@ export function openRenderer(graphics, hasRoom = true) {
     const places = room.places.slice(0, MAX_SEATS);
     const seen =
       views.map(({ camera, rect }) => ({ camera: places.length ? camera : STILL, rect }));
-    const drawn = JSON.stringify([room, seen]);
-    const isNew = drawn !== roomImage.drawn && hasRoom;
+    const drawn = hasRoom ? JSON.stringify([room, seen]) : "";
+    if (drawn === roomImage.drawn) return roomImage;
     roomImage.drawn = drawn;
-    if (!isNew) return { ...roomImage, isNew };
     const seats = new Float32Array(4 * MAX_SEATS);
     places.forEach((place, index) => seats.set([...place, room.speaking[index]], 4 * index));
     const lowest = places.length ? Math.min(...places.map((place) => place[1])) : 0;
@@ -163,28 +159,33 @@ export function openRenderer(graphics, hasRoom = true) {
       });
       graphics.draw(enlarge, roomImage, { image: smallRoom, rect: clipRect(rect, width, height) });
     }
-    return { ...roomImage, isNew };
+    return roomImage;
   }
 
   /** The room, and over it all heads, the farthest first. @param {Shown[]} heads
-   * @param {Target & {image: Texture}} room @param {Target} target */
+   * @param {RoomImage} room @param {Target} target */
   function layOver(heads, room, target) {
     const { width, height } = target;
+    for (const { rect, matrix, view, layer, placement: { fade, look } } of heads) {
+      const key = layer.drawn + fade + room.drawn;
+      if (layer.finished === key) continue;
+      layer.finished = key;
+      graphics.draw(finish, layer.finishing, {
+        layer: layer.colour, step: 0.25, room: room.image, corner: [rect[0], rect[1], layer.scale],
+        opacity: 1 - clamp(fade, 0, 1) * MAX_FADE, fading: fadingRows(look.body, matrix, view),
+      });
+    }
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, room.framebuffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target.framebuffer);
     gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     heads.sort((a, b) => b.matrix[15] - a.matrix[15]);
-    for (const { rect, matrix, view, layer, placement: { fade, look } } of heads) {
-      const { scale } = layer;
-      graphics.draw(placeHead, target, {
-        layer: layer.smooth, room: room.image, rect: clipRect(rect, width, height),
-        filled: [(scale * (rect[2] - rect[0])) / layer.width,
-          (scale * (rect[3] - rect[1])) / layer.height],
-        opacity: 1 - clamp(fade, 0, 1) * MAX_FADE,
-        fading: fadingRows(look.body, matrix, view),
-      });
+    for (const { rect, layer } of heads) {
+      const filled = [layer.width, layer.height].map((side, axis) =>
+        (layer.scale * (rect[axis + 2] - rect[axis])) / side);
+      const area = clipRect(rect, width, height);
+      graphics.draw(placeHead, target, { layer: layer.shown, rect: area, filled });
     }
     gl.disable(gl.BLEND);
   }
@@ -200,12 +201,12 @@ export function openRenderer(graphics, hasRoom = true) {
       view.placements.flatMap((placement) => shown(placement, view, index)));
     const changed = heads.filter(({ key, layer }) => layer.drawn !== key);
     const triangles = changed.reduce((sum, head) => sum + drawLayer(head), 0);
-    const roomDrawn = drawRoom(views, room, target);
-    const whole = JSON.stringify([target, heads.map(({ index, rect, placement: { look, fade } }) =>
-      [index, look.version, rect, fade])]);
-    const isNew = roomDrawn.isNew || changed.length > 0 || whole !== composed;
+    const behind = drawRoom(views, room, target);
+    const whole = JSON.stringify([target, behind.drawn,
+      heads.map(({ key, placement }) => [key, placement.fade])]);
+    const isNew = whole !== composed;
     composed = whole;
-    if (isNew) layOver(heads, roomDrawn, target);
+    if (isNew) layOver(heads, behind, target);
     return { isNew, numDrawn: changed.length, triangles };
   }
 
@@ -222,21 +223,22 @@ const stepped = (side) => Math.ceil(side / SIDE_STEP_PX) * SIDE_STEP_PX;
 const clipRect = (rect, width, height) =>
   rect.map((side, index) => (2 * side) / (index % 2 ? height : width) - 1);
 
-/** One head as one view sees it; its lower left corner is that of the head's rectangle.
+/** One head as one view sees it, from the lower left corner of its rectangle on.
  * @param {Graphics} graphics @param {number} width @param {number} height @param {number} scale Its
  * pixels for each of the picture. */
 export function openLayer(graphics, width, height, scale) {
   const xyz = graphics.texture(graphics.exact, width, height);
   const uv = graphics.texture(graphics.pairs, width, height);
   const colour = graphics.texture("RGBA8", width, height);
-  const smooth = graphics.texture("RGBA8", width, height, { smooth: scale !== 1 });
+  const shown = graphics.texture("RGBA8", width, height, { smooth: scale !== 1 });
   const depth = graphics.texture("DEPTH", width, height);
   const targets = {
     surface: graphics.target([xyz, uv], depth), coloured: graphics.target([colour], depth),
-    smoothed: graphics.target([smooth]),
+    finishing: graphics.target([shown]),
   };
-  const free = () => graphics.free(...Object.values(targets), xyz, uv, colour, smooth, depth);
-  return { width, height, scale, xyz, uv, colour, smooth, ...targets, free, drawn: "" };
+  const free = () => graphics.free(...Object.values(targets), xyz, uv, colour, shown, depth);
+  return { width, height, scale, xyz, uv, colour, shown, ...targets, free, drawn: "",
+    finished: "" };
 }
 
 /** A row of a matrix times a point.

@@ -17,8 +17,7 @@ uniform sampler2D layer; // colours times how much of them is there, and that
 uniform float step; // from one pixel to the next in how much is there, where an edge is
 #ifdef FADING
 uniform sampler2D room;
-uniform vec2 corner; // of the layer in the image
-uniform float scale; // pixels of the layer for each of the image
+uniform vec3 corner; // of the layer in the image; pixels of the layer for each of the image
 uniform float opacity;
 uniform vec4 fading; // rows of the image: nothing is left of one side, all of it is there, of the other
 
@@ -38,7 +37,7 @@ void main() {
     float least = min(min(above.a, below.a), min(left.a, right.a));
     colour = most - least > step ? 0.5 * own + 0.125 * (above + below + left + right) : own;
 #ifdef FADING
-    vec2 pixel = corner + gl_FragCoord.xy / scale;
+    vec2 pixel = corner.xy + gl_FragCoord.xy / corner.z;
     vec3 behind = textureLod(room, pixel / vec2(textureSize(room, 0)), 0.0).rgb;
     vec2 there = smoothstep(fading.xz, fading.yw, pixel.yy);
     float hides = min(colour.a / max(there.x, 1e-3), 1.0) * min(HIDING * there.y, 1.0);
