@@ -6,6 +6,7 @@ What moves between the websockets and the hub, `pica_server.net.pump` moves.
 import asyncio
 import logging
 import secrets
+import socket
 import ssl
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -24,7 +25,7 @@ from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, most_sockets, networks
 from pica_server.log import say
 from pica_server.net.pump import Pump
-from pica_server.net.socket import RelaySocket, bound_receive_buffer
+from pica_server.net.socket import RelaySocket, set_tcp_option
 from pica_server.pages import StatusPages, WebPage, avatar_files, page_files
 from pica_server.room.connections import PERIOD_S
 from pica_server.room.hub import Hub
@@ -144,8 +145,8 @@ class Relay:
         """Return the counters, and what is open now."""
         hub = self.hub
         return {
-            "open_connections": hub.num_connections,
-            "rooms": hub.num_rooms,
+            "open_connections": len(hub.connections.open),
+            "rooms": len(hub.membership.rooms),
             **hub.stats.as_dict(),
         }
 
@@ -178,8 +179,8 @@ class Relay:
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
             ) from error
-        for sock in self._server.sockets:
-            bound_receive_buffer(sock, _RECEIVE_BUFFER_BYTES)
+        for sock in self._server.sockets:  # a window that is made smaller later loses what comes
+            set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         if self._placement is not None:
             try:
                 await self._placement.start(config.public_url or self.url)

@@ -8,6 +8,7 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -22,6 +23,7 @@ from pica_protocol.messages import PeerLeft
 from pica_protocol.session import Closed, State
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.net.pump import LONGEST_WAIT_S
+from pica_server.net.socket import RelaySocket
 from pica_server.relay import READ_AGAIN_S, Relay
 from pica_server.room.connections import LATE_S
 from pica_server.tokens import ANY_ROOM, Admission, load_keys, mint, new_key_line
@@ -73,6 +75,23 @@ async def test_a_slow_reader_gets_fewer_but_fresh_frames_and_costs_nobody_else_a
         assert sequences[-1] == 599
         stats = relay.stats()
         assert stats["dropped"]["replaced"] == 600 - len(slow.arrivals)
+
+
+@in_virtual_time
+async def test_nothing_is_given_to_a_line_that_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    until_s = now() + 2.0
+    monkeypatch.setattr(RelaySocket, "_is_line_full", lambda self: 1.0 < until_s - now() < 1.9)
+    async with (
+        Relay(RelayConfig()) as relay,
+        peer_in_room(URL, "Ada") as ada,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+    ):
+        await ada.publish(num_frames=90, fps=30, num_bytes=1000)
+        await asyncio.sleep(1)
+        times_s = [at for at, _ in bob.arrivals]
+        assert max(np.diff(times_s)) == pytest.approx(0.9, abs=0.05)
+        assert max(bob.delays_s) < 0.1
+        assert relay.stats()["dropped"]["replaced"] == 90 - len(times_s) > 24
 
 
 @in_virtual_time

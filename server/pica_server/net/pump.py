@@ -3,13 +3,13 @@
 What a websocket receives goes to the hub at once. When all sockets that were readable in a turn of
 the event loop have been read, who has got something is sent it, so frames that came in one turn
 leave in one message. Nothing waits for that until the core is busy for `BUSY_RATIO` of the time;
-above that, sending waits for as many milliseconds as keep it there. While the kernel takes what is
-sent, that is all. A receiver that reads slowly gets a task of its own, which sends it
+above that, sending waits for as many milliseconds as keep it there. While kernel and `Line` take
+what is sent, that is all. A receiver that reads slowly gets a task of its own, which sends it
 what its `Outbox` gives out, and the same task sends the goodbye.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
-withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
-bytes are bounded once more where the system can (``TCP_NOTSENT_LOWAT``).
+withdrawn: one message in the transport, a bounded socket buffer in the kernel, and on the way what
+the line is seen to carry.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ from pica_protocol.client_session import RIDE_S
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import media_message
 from pica_server.config import RelayConfig
-from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
+from pica_server.net.socket import ASK_S, RelaySocket, set_tcp_option, websocket_message
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Connection
@@ -35,9 +35,6 @@ from pica_server.room.room import Connection
 _SEND_BUFFER_BYTES = 16_384
 """Bytes of one connection that the kernel may hold, and may round up (chosen: what waits there is
 stale and cannot be replaced by newer frames)."""
-_UNSENT_BYTES = 512
-"""Unsent bytes in the kernel's buffer (chosen: 64 ms of a voice at 64 kbit/s would wait behind
-them)."""
 BUSY_RATIO = 0.7
 """Of the time; a core that works for longer sends less often (chosen: the rest is for joins and
 bursts)."""
@@ -92,8 +89,6 @@ class Pump:
         """Serve one websocket of a call until it has ended."""
         sock = websocket.transport.get_extra_info("socket")
         set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        if hasattr(socket, "TCP_NOTSENT_LOWAT"):
-            set_tcp_option(sock, socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         hub, began_s = self._hub, self._now()
         connection = hub.connect(began_s, websocket.address)
         connection.shell = websocket
@@ -227,10 +222,11 @@ class Pump:
                 hub.sent(connection, under_way, self._now())
             while True:
                 has_more.clear()
-                is_voice = outbox.is_urgent
-                if (message := hub.take(connection, self._now())) is not None:
+                is_voice, began_s = outbox.is_urgent, self._now()
+                if (message := hub.take(connection, began_s)) is not None:
                     await websocket.send(message.data)
-                    now = self._now()
+                    if (now := self._now()) - began_s >= ASK_S:
+                        outbox.note_full(now)
                     hub.sent(connection, message, now)
                     voice_s = now if is_voice else voice_s
                     if connection.closed is not None:

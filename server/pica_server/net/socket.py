@@ -21,6 +21,8 @@ It relies on details of the library that its documentation does not promise: ``p
 import asyncio
 import socket
 import ssl
+import struct
+import sys
 from asyncio import sslproto
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -50,6 +52,7 @@ from pica_server.limits import (
     is_in,
     names_this_machine,
 )
+from pica_server.net.line import Line
 from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
@@ -74,21 +77,18 @@ EXTRA_FRAMES_PER_S: Final = 20.0
 EXTRA_FRAMES_BURST: Final = 100.0
 """Pings, pongs and fragments, which no other limit sees (chosen: a ping a second is usual)."""
 
+_ASK_BYTES, ASK_S = 1024, 0.01
+"""After how many bytes, and how often while it is full, a line is looked at (chosen)."""
+_TCP_INFO: Final = struct.Struct("=120xQ16xII48xQQ")
+"""Of Linux's ``tcp_info``: bytes acknowledged, bytes not sent yet, the fastest round trip in
+microseconds, bytes sent, bytes sent again."""
+
 
 def set_tcp_option(sock: socket.socket | None, level: int, option: int, value: int) -> None:
     """Set an option of a socket, if that is one of TCP."""
     if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
         with suppress(OSError):  # the peer may be gone already; the reader will find out
             sock.setsockopt(level, option, value)
-
-
-def bound_receive_buffer(sock: socket.socket | None, num_bytes: int) -> None:
-    """Bound what the kernel holds for us of a connection, or of those that a listener will accept.
-
-    Of a listener: a window that is made smaller after it was offered loses what comes into it, and
-    senders find out by a timer that doubles.
-    """
-    set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_RCVBUF, num_bytes)
 
 
 class _GoneTransport(asyncio.Transport):
@@ -150,6 +150,7 @@ class RelaySocket(ServerConnection):
     _tls_task: asyncio.Task[None] | None = None
     _has_begun = _has_early_end = False
     _early: bytearray
+    _unasked_bytes = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Let the guard decide, and TLS begin, if there is any."""
@@ -203,6 +204,7 @@ class RelaySocket(ServerConnection):
         self._has_begun = True
         super().connection_made(transport)
         bound_tls_buffer(transport)
+        self._line = Line()
         self._extra_frames = TokenBucket(EXTRA_FRAMES_PER_S, EXTRA_FRAMES_BURST, self.loop.time())
         if not self._is_admitted:
             self.stats.limits_hit["sockets"] += 1
@@ -376,14 +378,35 @@ class RelaySocket(ServerConnection):
         return bool(step.gi_code is StreamReader.at_eof.__code__)
 
     def write(self, framed: bytes) -> bool:
-        """Write what `websocket_message` made, if the websocket is open; return whether the kernel
-        took it whole. If not, or if the socket has died, ``drain``."""
+        """Write what `websocket_message` made, if the websocket is open; return whether kernel and
+        line took it. If not, or if the socket has died, ``drain``."""
         transport = self.transport
         # More writes before the loop tells us of the end would put a line each into its log.
         if not self._is_open or transport.is_closing():
             return False
         transport.write(framed)
-        return not transport.get_write_buffer_size()
+        self._unasked_bytes += len(framed)
+        is_line_full = self._unasked_bytes >= _ASK_BYTES and self._is_line_full()
+        return not (is_line_full or transport.get_write_buffer_size())
+
+    async def drain(self) -> None:
+        """Wait until the kernel has taken what was written, and there is room on the line."""
+        await super().drain()
+        while self._is_line_full():  # noqa: ASYNC110 - a kernel does not tell when it changes
+            await asyncio.sleep(ASK_S)
+
+    def _is_line_full(self) -> bool:
+        """Whether `Line.is_full` by what the kernel tells; False where it does not."""
+        self._unasked_bytes = 0
+        sock = self.transport.get_extra_info("socket")
+        if sys.platform != "linux" or sock is None or sock.family == socket.AF_UNIX:
+            return False
+        try:
+            told = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+            acked, unsent, fastest_us, sent, again = _TCP_INFO.unpack(told)
+        except (OSError, struct.error):  # the peer is gone, or the kernel is old
+            return False
+        return self._line.is_full(acked, sent - again + unsent, fastest_us / 1e6, self.loop.time())
 
 
 def _forget_where(error: BaseException | None) -> None:

@@ -30,7 +30,7 @@ from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.limits import clipped_reason, is_avatar_id
 from pica_protocol.messages import AVATARS_PATH, Bye, Offer, Ready, Stored
 from pica_server.limits import RefusalError
-from pica_server.net.socket import RelaySocket, bound_receive_buffer, set_tcp_option
+from pica_server.net.socket import RelaySocket, set_tcp_option
 from pica_server.store.store import AvatarStore, Slots
 
 MOST_OFFERS: Final = 64
@@ -154,7 +154,8 @@ class Transfers:
     async def serve(self, websocket: RelaySocket) -> None:
         """Take one file."""
         self.moving.add(websocket)
-        bound_receive_buffer(websocket.transport.get_extra_info("socket"), RECEIVE_BUFFER_BYTES)
+        sock = websocket.transport.get_extra_info("socket")
+        set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         try:
             code, reason = await self._take(websocket)
             outcome = "uploads_done" if code == CloseCode.NORMAL else "uploads_refused"
