@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.capture.dataset.multiface import read_json
-from pica_core.capture.person.hair import STYLES
+from pica_core.capture.person.hair import LOOKS, STYLES
 from pica_core.capture.rig.mesh import EYES_AT_M, MARKS, Eyeball, RigFrame, RigMesh, fit_sphere
 from pica_core.errors import CaptureError, check_ranges
 from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
@@ -122,32 +122,14 @@ def _compact(faces: Int64Array) -> tuple[Int64Array, IntArray]:
     return used, index.reshape(-1, 3).astype(np.int32)
 
 
-Rgb = tuple[float, float, float]
-
 SPREAD, CLIP = 0.8, 2.0
 """Standard deviation of drawn coefficients, and the limit of any (0.9 and less looks natural)."""
 SEXES = ("female", "male")
-SKIN_TONES: tuple[Rgb, ...] = (
-    (0.70, 0.46, 0.37), (0.62, 0.37, 0.275), (0.50, 0.285, 0.19),
-    (0.35, 0.185, 0.112), (0.20, 0.098, 0.060), (0.105, 0.050, 0.033),
-)  # fmt: skip
-"""Linear colours from the lightest skin, 1, to the darkest, 6 (chosen)."""
-HAIR_COLOURS: dict[str, Rgb] = {
-    "black": (0.012, 0.010, 0.009), "brown": (0.040, 0.021, 0.012),
-    "light_brown": (0.105, 0.060, 0.032), "blond": (0.30, 0.195, 0.095),
-    "red": (0.145, 0.042, 0.014), "grey": (0.20, 0.19, 0.18), "white": (0.46, 0.45, 0.43),
-}  # fmt: skip
-EYE_COLOURS: dict[str, Rgb] = {
-    "brown": (0.070, 0.030, 0.012), "dark": (0.034, 0.016, 0.008), "hazel": (0.085, 0.052, 0.019),
-    "green": (0.046, 0.062, 0.026), "blue": (0.036, 0.068, 0.112), "grey": (0.058, 0.068, 0.078),
-}  # fmt: skip
+SKIN_TONES, HAIR_COLOURS = LOOKS["skin_tones"], LOOKS["hair_colours"]
+"""Skin from the lightest, 1, to the darkest, 6 (chosen)."""
+EYE_COLOURS, CLOTH_COLOURS = LOOKS["eye_colours"], LOOKS["cloth_colours"]
 BEARDS = ("none", "stubble")
-CLOTHES = ("tee", "vneck", "shirt", "turtleneck", "hoodie")
-CLOTH_COLOURS: dict[str, Rgb] = {
-    "white": (0.55, 0.55, 0.53), "charcoal": (0.035, 0.037, 0.042), "navy": (0.02, 0.035, 0.085),
-    "burgundy": (0.13, 0.018, 0.026), "olive": (0.085, 0.09, 0.04), "teal": (0.02, 0.10, 0.105),
-    "ochre": (0.32, 0.165, 0.03), "sand": (0.36, 0.29, 0.20), "lilac": (0.24, 0.18, 0.32),
-}  # fmt: skip
+CLOTHES = tuple(LOOKS["cuts"])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

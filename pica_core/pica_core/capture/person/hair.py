@@ -6,19 +6,20 @@ is a closed sheet of rings, laid outside of head, ears, neck and clothes. Strand
 painted along both. Lengths are metres in the head frame; azimuth 0 is the front.
 """
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 
 import numpy as np
 
 from pica_core.capture.triangles import nearest
 from pica_core.types import BoolArray, Float64Array, IntArray
 
-HAIRLINE = (
-    (0.0, 0.089), (25.0, 0.091), (42.0, 0.087), (58.0, 0.072), (68.0, 0.038), (76.0, 0.010),
-    (84.0, 0.004), (93.0, 0.040), (106.0, 0.040), (116.0, 0.012), (126.0, -0.018), (145.0, -0.046),
-    (180.0, -0.056),
-)  # fmt: skip
-"""Height over the azimuth in degrees."""
+LOOKS = json.loads(files("pica_core.capture.person").joinpath("looks.json").read_text("utf-8"))
+"""What people may choose from; colours are linear."""
+HAIRLINE = np.array(LOOKS["hairline"]).T
+"""Azimuths in degrees, and the height over each."""
 EDGE_M = 0.014
 """What coverage of 1 is, above the hairline."""
 EAR_ROOM_M = (0.002, 0.010)
@@ -37,7 +38,7 @@ class Style:
     """Height of the cap at the sides, against the top."""
     quiff: float = 0.0
     """How much more the cap is raised over the forehead."""
-    flow: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    flow: Sequence[float] = (0.0, -1.0, 0.0)
     """Where strands lie to; what follows from `parting` and `radial` is added."""
     parting: float | None = None
     """Place of a parting, mm to the subject's left: strands lie away from it."""
@@ -55,25 +56,11 @@ class Style:
     """Depth of the waves of hair that hangs."""
 
 
-STYLES: dict[str, Style] = {
-    "bald": Style(),
-    "buzz": Style(cap=1.5, clumps=0.3),
-    "short": Style(cap=10, sides=0.4, quiff=4, flow=(0.35, -0.6, 0.5), clumps=1.4),
-    "swept": Style(cap=15, sides=0.35, quiff=10, flow=(0.15, 0.1, -1.0), clumps=1.2),
-    "parted": Style(cap=13, sides=0.5, quiff=5, flow=(0, -0.6, -0.35), parting=28),
-    "receding": Style(cap=5, sides=0.9, flow=(0.1, -0.6, -0.6), recession=30, clumps=0.7),
-    "curly": Style(cap=20, sides=0.7, quiff=4, flow=(0.0, -0.6, 0.3), curl=3.6, clumps=0.8),
-    "afro": Style(cap=36, rise=2.6, sides=0.8, radial=True, curl=1.6, clumps=0.25),
-    "bob": Style(cap=12, sides=0.8, parting=12, recession=9, hang=82, wave=1.6),
-    "long": Style(cap=13, sides=0.8, parting=-8, recession=9, hang=215, wave=3.0),
-}  # fmt: skip
+STYLES = {name: Style(**numbers) for name, numbers in LOOKS["styles"].items()}
 COLUMNS, ROWS = 48, 28
-FRONT_DEG = (
-    (-0.09, 46.0), (-0.03, 42.0), (0.020, 45.0), (0.050, 43.0), (0.070, 35.0), (0.085, 21.0),
-    (0.105, 5.0), (0.130, 2.0),
-)  # fmt: skip
-"""Azimuth of the front edges of hair that hangs, over the height: it parts above the forehead and
-frames the face."""
+FRONT_DEG = np.array(LOOKS["front_deg"]).T
+"""Heights, and the azimuth of the front edges of hair that hangs at each: it parts above the
+forehead and frames the face."""
 CLEAR_M, THICK_M = 0.003, 0.009
 """Distance of hair that hangs from what is under it, and its thickness."""
 INNER_SHARE = 0.25
@@ -124,7 +111,7 @@ def cover(points: Float64Array, skin: BoolArray, ears: BoolArray, style: Style) 
     if not style.cap:
         return np.full(len(points), -1.0)
     azimuth = np.degrees(np.abs(np.arctan2(points[:, 0], points[:, 2] + 0.005)))
-    line = np.interp(azimuth, *np.array(HAIRLINE).T)
+    line = np.interp(azimuth, *HAIRLINE)
     back = style.recession / 1000 * (
         np.exp(-0.5 * ((azimuth - 36) / 13) ** 2) + 0.35 * np.exp(-0.5 * (azimuth / 18) ** 2)
     )  # fmt: skip
@@ -288,7 +275,7 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
 
 def _azimuth(s: Float64Array, y: Float64Array) -> Float64Array:
     """Where columns are at these heights, from the subject's left over the back, radians."""
-    front = np.interp(y, *np.array(FRONT_DEG).T)
+    front = np.interp(y, *FRONT_DEG)
     return np.radians(180 - s * (180 - front))
 
 

@@ -22,6 +22,7 @@ from pica_core.capture.person.choices import (
     read_model,
 )
 from pica_core.capture.person.hair import (
+    LOOKS,
     STYLES,
     Surface,
     cover,
@@ -66,13 +67,7 @@ class Cut:
     folds: float = 1.0
 
 
-CUTS: dict[str, Cut] = {
-    "tee": Cut(front=-142, back=-98, band=2, roll=1.8),
-    "vneck": Cut(front=-140, back=-98, vee=28, band=1.5, roll=1.5),
-    "shirt": Cut(front=-140, back=-102, vee=12, band=16, roll=2.0, turned=30, folds=0.8),
-    "turtleneck": Cut(front=-122, back=-92, band=12, roll=3.5, turned=14, folds=1.1),
-    "hoodie": Cut(front=-142, back=-102, band=10, roll=7.0, turned=24, folds=1.8),
-}
+CUTS = {name: Cut(**numbers) for name, numbers in LOOKS["cuts"].items()}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
