@@ -1,10 +1,13 @@
-"""A user's folders, and files that are written whole or not at all."""
+"""A user's folders, files that are written whole or not at all, and tables that ship."""
 
+import json
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from platformdirs import PlatformDirs
 
@@ -33,3 +36,8 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)
+
+
+def packaged_json(package: str, name: str) -> Any:
+    """What a JSON file holds that ships in a package."""
+    return json.loads((resources.files(package) / name).read_text("utf-8"))

@@ -8,32 +8,16 @@ import numpy as np
 from pica_client.render.gpu_avatar import Body, Mesh, static_vertices
 from pica_client.render.gpu_program import clamp
 from pica_core.avatar.bust import WHOLE_M, box_corners, fade_heights_m, outline_of
+from pica_core.files import packaged_json
 from pica_core.reference import BaselineAvatar
 from pica_core.sampling import order_faces
 from pica_core.types import FloatArray
 
 PLACEHOLDER_GRID = 64
 """Rows and columns of the placeholder's vertices."""
-PLACEHOLDER_PROFILE_M = (
-    # height, half width, half depth, middle of the depth
-    (0.138, 0.000, 0.000, 0.000),
-    (0.132, 0.031, 0.038, 0.000),
-    (0.112, 0.057, 0.070, 0.000),
-    (0.075, 0.075, 0.092, 0.000),
-    (0.030, 0.080, 0.098, 0.002),
-    (-0.020, 0.075, 0.092, 0.006),
-    (-0.060, 0.066, 0.080, 0.012),
-    (-0.090, 0.053, 0.064, 0.012),
-    (-0.104, 0.047, 0.054, 0.002),
-    (-0.124, 0.047, 0.050, -0.012),
-    (-0.138, 0.062, 0.058, -0.018),
-    (-0.150, 0.108, 0.074, -0.022),
-    (-0.166, 0.146, 0.086, -0.026),
-    (-0.192, 0.167, 0.094, -0.028),
-    (-0.230, 0.174, 0.098, -0.028),
-    (-0.290, 0.174, 0.098, -0.028),
-)
-"""A faceless bust, from the crown down (chosen: as large as a person, without a face)."""
+PLACEHOLDER_PROFILE_M = packaged_json("pica_client.render", "placeholder.json")
+"""A faceless bust, from the crown down: height, half width, half depth, middle of the depth
+(chosen: as large as a person, without a face)."""
 LIGHT = np.array([0.30, 0.75, 0.60])
 """Where the light comes from, head frame."""
 CLAY = (0.205, 0.225, 0.250), (0.520, 0.545, 0.570)

@@ -7,10 +7,8 @@ a training that docs/voice.md describes.
 """
 
 import base64
-import json
 from collections import deque
 from dataclasses import replace
-from importlib import resources
 from typing import Final
 
 import numpy as np
@@ -18,6 +16,7 @@ import numpy as np
 from pica_client.sources.source import make_performance
 from pica_client.voice.opus import SAMPLE_RATE_HZ, level_of
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
+from pica_core.files import packaged_json
 from pica_core.types import FloatArray
 
 HOP: Final = 480
@@ -107,8 +106,8 @@ class MouthFromVoice:
     """Hears one voice, and says how the mouth stands."""
 
     def __init__(self) -> None:
-        text = (resources.files("pica_client.voice") / "mouth.json").read_text("utf-8")
-        self._w = {name: _matrix(**stored) for name, stored in json.loads(text).items()}
+        weights = packaged_json("pica_client.voice", "mouth.json")
+        self._w = {name: _matrix(**stored) for name, stored in weights.items()}
         self._features = SpeechFeatures()
         self._state = np.zeros(len(self._w["u"]), np.float32)
         self.push(np.zeros(SAMPLE_RATE_HZ, np.float32))  # it has listened to silence before

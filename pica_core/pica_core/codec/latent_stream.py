@@ -27,11 +27,9 @@ Payloads are integers, and alike on all machines. Nothing here knows of time or 
 is an argument.
 """
 
-import json
 import math
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +47,7 @@ from pica_core.codec.range_coder import (
     write_symbols,
 )
 from pica_core.errors import LatentError, ShapeError
+from pica_core.files import packaged_json
 from pica_core.types import LATENT_SHAPE, MAX_LATENT_LENGTH, NUM_LATENT, FloatArray, Int64Array
 
 
@@ -80,7 +79,7 @@ class EncodedFrame:
 HAS_FACE, HAS_POSE, IS_STILL, HAS_REST = 1, 2, 4, 8
 SHAPE_UNIT, POSE_UNIT, REST_UNIT = 2.0**-12, 2.0**-14, 2.0**-10
 """Of shape values; of radians and metres; of the rest of a latent."""
-_TABLES = json.loads(files("pica_core.codec").joinpath("tables.json").read_text("utf-8"))
+_TABLES = packaged_json("pica_core.codec", "tables.json")
 """The numbers of `docs/wire.md`."""
 QUALITY_TABLE, HEADER_TABLE = make_table(_TABLES["quality"]), make_table(_TABLES["header"])
 SHAPE_STEPS: list[int] = _TABLES["shape_steps"]

@@ -6,17 +6,16 @@ is a closed sheet of rings, laid outside of head, ears, neck and clothes. Strand
 painted along both. Lengths are metres in the head frame; azimuth 0 is the front.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 
 import numpy as np
 
 from pica_core.capture.triangles import nearest
+from pica_core.files import packaged_json
 from pica_core.types import BoolArray, Float64Array, IntArray
 
-LOOKS = json.loads(files("pica_core.capture.person").joinpath("looks.json").read_text("utf-8"))
+LOOKS = packaged_json("pica_core.capture.person", "looks.json")
 """What people may choose from; colours are linear."""
 HAIRLINE = np.array(LOOKS["hairline"]).T
 """Azimuths in degrees, and the height over each."""

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset.files import Take
+from pica_core.files import packaged_json
 from pica_core.types import Float64Array, FloatArray
 
 Generator = np.random.Generator
@@ -29,38 +30,10 @@ def blend(**values: float) -> Float64Array:
     return arkit
 
 
-VISEMES: tuple[Float64Array, ...] = (
-    blend(jawOpen=0.55, mouthLowerDown=0.25, mouthUpperUp=0.15),
-    blend(jawOpen=0.22, mouthStretch=0.35, mouthSmile=0.3, mouthLowerDown=0.3),
-    blend(jawOpen=0.3, mouthFunnel=0.55, mouthPucker=0.2),
-    blend(jawOpen=0.12, mouthPucker=0.75, mouthFunnel=0.25),
-    blend(mouthClose=0.04, jawOpen=0.05, mouthPress=0.45, mouthRollLower=0.2, mouthRollUpper=0.2),
-    blend(jawOpen=0.1, mouthRollLower=0.5, mouthUpperUp=0.3, mouthShrugUpper=0.15),
-    blend(jawOpen=0.18, mouthLowerDown=0.35, mouthUpperUp=0.2),
-    blend(jawOpen=0.25, tongueOut=0.12, mouthLowerDown=0.2),
-    blend(jawOpen=0.08, mouthStretch=0.25, mouthLowerDown=0.4, mouthDimple=0.2),
-    blend(jawOpen=0.4, mouthShrugLower=0.2),
-    blend(),
-)
+_TABLE = packaged_json("pica_core.capture.stage", "expressions.json")
+VISEMES = tuple(blend(**values) for values in _TABLE["visemes"])
 """Mouth shapes of speech: AA, EE, OH, OO, M-B-P, F-V, D-T, L-TH, S-Z, EH, rest."""
-
-MOODS: tuple[Float64Array, ...] = (
-    blend(),
-    blend(mouthSmile=0.75, cheekSquint=0.6, eyeSquint=0.35, mouthDimple=0.2),
-    blend(mouthSmile=0.35, browInnerUp=0.2),
-    blend(browDown=0.8, eyeSquint=0.4, mouthPress=0.4, noseSneer=0.25, jawForward=0.15),
-    blend(mouthFrown=0.75, browInnerUp=0.65, mouthShrugLower=0.5, eyeLookDown=0.2),
-    blend(browInnerUp=0.8, browOuterUp=0.8, eyeWide=0.8, jawOpen=0.35, mouthFunnel=0.15),
-    blend(noseSneer=0.85, mouthUpperUp=0.5, browDown=0.5, cheekSquint=0.4, mouthFrown=0.2),
-    blend(cheekPuff=0.8, mouthPress=0.35, mouthPucker=0.15),
-    blend(mouthPucker=0.9, browInnerUp=0.15),
-    blend(jawOpen=0.85, mouthStretch=0.3, browOuterUp=0.3),
-    blend(jawOpen=0.45, mouthClose=0.43),
-    blend(tongueOut=0.9, jawOpen=0.35, browOuterUp=0.3),
-    blend(jawOpen=0.45, mouthSmile=0.85, mouthUpperUp=0.45, cheekSquint=0.7)
-    + blend(eyeSquint=0.4, mouthLowerDown=0.3),
-    blend(eyeSquint=0.8, cheekSquint=0.5, mouthStretch=0.5, mouthLowerDown=0.6),
-)
+MOODS = tuple(blend(**values) for values in _TABLE["moods"])
 """Slow, whole-face states."""
 
 

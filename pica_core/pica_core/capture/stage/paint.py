@@ -22,6 +22,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import hair_coverage
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.triangles import mean_of_neighbours
+from pica_core.files import packaged_json
 from pica_core.gl import link_program
 from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, IntArray
 
@@ -232,26 +233,7 @@ def surface(head: RigHead, growth: Growth | None) -> FloatArray:
     return local
 
 
-PAINT: dict[str, Any] = {
-    "seed": 3.0,
-    "skin_rgb": (0.60, 0.36, 0.26),
-    "lip_rgb": (0.46, 0.19, 0.165),
-    "hair_rgb": (0.036, 0.023, 0.015),
-    "iris_rgb": (0.16, 0.23, 0.26),
-    "brow_rgb": (0.036, 0.023, 0.015),
-    "cloth_rgb": (0.05, 0.07, 0.10),
-    "cloth_knit": 0.25,
-    "redness": 1.0,
-    "age": 0.15,
-    "freckles": 0.0,
-    "moles": 0.5,
-    "makeup": 0.0,
-    "grey": 0.0,
-    "stubble": 0.3,
-    "brows": 1.0,
-    "tooth_white": 0.5,
-    "over_paint": 0.0,
-}
+PAINT: dict[str, Any] = packaged_json("pica_core.capture.stage", "paint.json")
 """Linear colours and marks of the synthetic skin (chosen)."""
 CORNER = {
     "vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2, "strand": 3,
