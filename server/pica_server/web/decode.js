@@ -13,24 +13,41 @@ const [DIRECTIONS_STEP, SHEET_STEP] = [512, 32];
 const [HEAD_TEXELS, VIEW, SCALE] = [66, 64, 65];
 /** Avatars of a bank: as many as in most calls. */
 const LAYERS = 4;
+/** What each program is told beside sizes; the file of a program comes first. */
+const PROGRAMS = {
+  first: ["convolve", "BIAS", "FIRST"], convolve: ["convolve", "BIAS"],
+  local: ["convolve", "BIAS", "LOCAL"], expand: ["expand", "BIAS"], full: ["full", "BIAS"],
+  biased: ["dense", "BIAS"], dense: ["dense"], gather: ["gather"], sheet: ["sheet"],
+};
+const SIZES = ["SIZE", "IN_VECTORS", "WEIGHTS", "IS_LEAKY"];
 
 /** Decodes heads of any avatars. @param {Graphics} graphics */
 export function openDecoder(graphics) {
   const { gl } = graphics;
+  /** @type {Record<string, Program>} */
+  const programs = {};
   /** @type {Bank[]} */
   const banks = [];
   /** @param {Avatar} avatar */
   const bankOf = (avatar) => banks.find(({ avatars }) => avatars.includes(avatar));
   return {
+    /** Let the driver begin: programs are for all sizes and avatars. */
+    compile() {
+      for (const [name, [file, ...told]] of Object.entries(PROGRAMS)) {
+        const names = [...SIZES, ...told].map((each) => [each, null]);
+        programs[name] ??= graphics.screen(`decode_${file}.frag`, Object.fromEntries(names));
+      }
+    },
     /** @param {Avatar} avatar */
     add(avatar) {
+      this.compile();
       if (bankOf(avatar)) return;
       const { plan, arrays } = layOut(avatar);
       const sizes = Object.values(arrays).map(({ width, height }) => [width, height]);
       const key = JSON.stringify([plan, sizes]);
       let bank = banks.find((each) => each.key === key && each.avatars.includes(null));
       if (!bank) {
-        bank = openBank(graphics, key, plan, arrays);
+        bank = openBank(graphics, programs, key, plan, arrays);
         banks.push(bank);
       }
       const layer = bank.avatars.indexOf(null);
@@ -56,8 +73,9 @@ export function openDecoder(graphics) {
 }
 
 /** Avatars of one plan: their numbers, programs, and the images between.
- * @type {(graphics: Graphics, key: string, plan: Plan, numbers: Record<string, Numbers>) => Bank} */
-function openBank(graphics, key, plan, numbers) {
+ * @type {(graphics: Graphics, programs: Record<string, Program>, key: string, plan: Plan,
+ * numbers: Record<string, Numbers>) => Bank} */
+function openBank(graphics, programs, key, plan, numbers) {
   /** @type {(Avatar | null)[]} */
   const avatars = Array(LAYERS).fill(null);
   const arrays = Object.fromEntries(Object.entries(numbers)
@@ -68,12 +86,9 @@ function openBank(graphics, key, plan, numbers) {
   let heads;
   /** @type {(pass: Pass) => Step} */
   const open = (pass) =>
-    ({ pass, program: graphics.screen(pass.shader, pass.defines), images: [], target: null });
+    ({ pass, program: programs[pass.program], images: [], target: null });
   const [trunk, exits, vertices] = [plan.trunk.map((part) => part.map(open)), plan.exits.map(open),
     plan.vertices.map(open)];
-  const full = graphics.screen(plan.full.shader, plan.full.defines);
-  const gather = graphics.screen("decode_gather.frag");
-  const sheet = graphics.screen("decode_sheet.frag");
 
   /** Make the images between for so many heads. @param {number} count */
   function reserve(count) {
@@ -83,23 +98,23 @@ function openBank(graphics, key, plan, numbers) {
     heads = graphics.texture("RGBA32F", HEAD_TEXELS, capacity);
     for (const step of [...trunk.flat(), ...exits, ...vertices]) {
       graphics.free(step.target, ...step.images);
-      const { shader, columns, rows } = step.pass;
-      const images = Array.from({ length: shader === "decode_dense.frag" ? 1 : 4 }, () =>
+      const { numbers: { SIZE }, columns, rows } = step.pass;
+      const images = Array.from({ length: SIZE ? 4 : 1 }, () =>
         graphics.texture(graphics.exact, columns, capacity * rows));
       Object.assign(step, { images, target: graphics.target(images) });
     }
   }
 
-  /** What shaders read of images, whatever they call them.
-   * @param {(Texture | undefined)[]} images @param {string} table */
-  const inputs = ([phase0, phase1, phase2, phase3], table) =>
-    ({ heads, table: arrays[table], phase0, phase1, phase2, phase3, rows: phase0 });
+  /** What shaders read of images, whatever they call them, and are told.
+   * @type {(images: (Texture | undefined)[], pass?: Pass) => Record<string, any>} */
+  const inputs = ([phase0, phase1, phase2, phase3], pass) => ({ ...pass?.numbers, heads,
+    table: arrays[pass?.table ?? "half"], phase0, phase1, phase2, phase3, rows: phase0 });
 
   /** Draw the first heads of a step; what it drew.
    * @param {Step} step @param {number} count @param {(Texture | undefined)[]} images */
   function run({ pass, program, target, images: drawn }, count, images) {
     const all = /** @type {Target} */ (target);
-    graphics.draw(program, { ...all, height: count * pass.rows }, inputs(images, pass.table));
+    graphics.draw(program, { ...all, height: count * pass.rows }, inputs(images, pass));
     return drawn;
   }
 
@@ -116,7 +131,8 @@ function openBank(graphics, key, plan, numbers) {
       const last = exit ? run(exit, count, images) : images;
       jobs.forEach((job, head) => {
         if (job.level !== level) return;
-        graphics.draw(exit ? gather : full, job.codes, { ...inputs(last, "half"), head });
+        const program = exit ? programs.gather : programs.full;
+        graphics.draw(program, job.codes, { ...inputs(last, plan.full), head });
       });
     });
   }
@@ -129,7 +145,7 @@ function openBank(graphics, key, plan, numbers) {
       if (!positions) return;
       const own = { basis: arrays.basis, places: arrays[`places ${level}`],
         mean: arrays[`mean ${level}`] };
-      graphics.draw(sheet, positions, { ...inputs(images, "half"), ...own, head });
+      graphics.draw(programs.sheet, positions, { ...inputs(images), ...own, head });
     });
   }
 
@@ -175,11 +191,11 @@ function layOut(avatar) {
     return { format, width: COLUMNS, height, data };
   }
   /** A 3x3 convolution of outputs, inputs and size, with a bias for each texel.
-   * @type {(weight: string, bias: string, shape: number[], table: "half" | "exact", more: Defines)
-   * => Pass} */
-  const convolution = (weight, bias, [outs, ins, size], table, more) => ({
-    shader: "decode_convolve.frag",
-    defines: {
+   * @type {(program: string, weight: string, bias: string, shape: number[],
+   * table: "half" | "exact", more?: Record<string, number>) => Pass} */
+  const convolution = (program, weight, bias, [outs, ins, size], table, more = {}) => ({
+    program,
+    numbers: {
       SIZE: size,
       IN_VECTORS: vectors(ins),
       IS_LEAKY: table === "half" ? 1 : 0,
@@ -196,8 +212,8 @@ function layOut(avatar) {
     const [weight, bias] = ["weight", "bias"].map((part) => `${name}.expand.${part}`);
     /** @type {Pass} */
     const expand = {
-      shader: 2 * size < MAP_SIZE ? "decode_expand.frag" : "decode_full.frag",
-      defines: {
+      program: 2 * size < MAP_SIZE ? "expand" : "full",
+      numbers: {
         SIZE: size,
         IN_VECTORS: vectors(outs),
         WEIGHTS: add("half", phases(avatar.floats(weight, 4 * outs * outs), outs, outs, 4)),
@@ -207,14 +223,15 @@ function layOut(avatar) {
       rows: size,
       table: "half",
     };
-    return [convolution(`${name}.first.weight`, `${name}.first_bias.weight`, [outs, ins, size],
-      "half", index ? {} : { FIRST: 1 }), expand];
+    return [convolution(index ? "convolve" : "first", `${name}.first.weight`,
+      `${name}.first_bias.weight`, [outs, ins, size], "half"), expand];
   });
   const exits = [[64, 16], [128, 8]].map(([level, ins]) => {
     const name = `level.${level}.expression`;
     const local = level === 64
       ? { LOCAL: add("exact", localBlocks(avatar.floats(`${name}.local`, 65_536))) } : {};
-    return convolution(`${name}.weight`, `${name}.bias`, [4, ins, level], "exact", local);
+    return convolution(level === 64 ? "local" : "convolve", `${name}.weight`, `${name}.bias`,
+      [4, ins, level], "exact", local);
   });
   const [directions, bases] = avatar.shape("linear.mix");
   const room = Math.ceil(directions / DIRECTIONS_STEP) * DIRECTIONS_STEP;
@@ -222,11 +239,11 @@ function layOut(avatar) {
   bias.set(avatar.floats("linear.bias", bases));
   const mix = new Float32Array(room * bases);
   mix.set(avatar.floats("linear.mix", directions * bases));
-  /** @type {(ins: number, outs: number, matrix: Float32Array, table: "half" | "exact", more:
-   * Defines) => Pass} */
-  const dense = (ins, outs, matrix, table, more) => ({
-    shader: "decode_dense.frag",
-    defines: { IN_VECTORS: vectors(ins), WEIGHTS: add(table, blocks(matrix, outs, ins)),
+  /** @type {(program: string, ins: number, outs: number, matrix: Float32Array,
+   * table: "half" | "exact", more?: Record<string, number>) => Pass} */
+  const dense = (program, ins, outs, matrix, table, more = {}) => ({
+    program,
+    numbers: { IN_VECTORS: vectors(ins), WEIGHTS: add(table, blocks(matrix, outs, ins)),
       ...more },
     columns: vectors(outs),
     rows: 1,
@@ -234,8 +251,8 @@ function layOut(avatar) {
   });
   const linear = avatar.floats("linear.weight", bases * NUM_LATENT);
   const vertices = [
-    dense(NUM_LATENT, bases, linear, "exact", { BIAS: add("exact", bias) }),
-    dense(bases, room, mix, "half", {}),
+    dense("biased", NUM_LATENT, bases, linear, "exact", { BIAS: add("exact", bias) }),
+    dense("dense", bases, room, mix, "half"),
   ];
   const basis = new Uint8Array(room * MAP_SIZE * 3).fill(128);
   basis.set(avatar.integers("linear.basis", directions * MAP_SIZE * 3));

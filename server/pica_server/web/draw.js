@@ -88,7 +88,7 @@ export function openRenderer(graphics, hasRoom = true) {
     const matrix = multiply(clipFromWorld(camera), placement.matrix);
     const rect = screenRect(matrix, look.body.outline, view);
     if (!rect || !look.maps.level) return [];
-    const key = JSON.stringify([look.version, ...matrix, rect, scale]);
+    const key = JSON.stringify([look.version, look.body.isSharp, ...matrix, rect, scale]);
     return [{ placement, index, matrix, view, rect, key, layer: layerOf(look, index, rect, scale) }];
   }
 
@@ -130,6 +130,7 @@ export function openRenderer(graphics, hasRoom = true) {
     gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.CULL_FACE);
     layer.drawn = key;
+    body.isDrawn = true;
     return ((decoded?.count ?? 0) + (textured?.count ?? 0)) / 3;
   }
 
@@ -197,6 +198,7 @@ export function openRenderer(graphics, hasRoom = true) {
     gl.depthFunc(gl.LESS);
     gl.depthMask(true);
     gl.clearColor(0, 0, 0, 0);
+    for (const { body } of bodies.values()) if (body.isDrawn && !body.isSharp) body.sharpen();
     const heads = views.flatMap((view, index) =>
       view.placements.flatMap((placement) => shown(placement, view, index)));
     const changed = heads.filter(({ key, layer }) => layer.drawn !== key);
@@ -207,6 +209,7 @@ export function openRenderer(graphics, hasRoom = true) {
     const isNew = whole !== composed;
     composed = whole;
     if (isNew) layOver(heads, behind, target);
+    decoder.compile(); // with the room on the screen, while avatars are under way
     return { isNew, numDrawn: changed.length, triangles };
   }
 

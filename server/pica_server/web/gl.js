@@ -36,7 +36,8 @@ export function openGraphics(gl, texts, onlyHalfs = false) {
       return text.replace(/^#include "([^"]*)".*$/gm, (_, other) => included(other));
     };
     const header = KINDS.map((kind) => `precision highp ${kind};`);
-    const sizes = Object.entries(defines).map(([key, value]) => `#define ${key} ${value}`);
+    const sizes = Object.entries(defines).map(([key, value]) =>
+      (value === null ? `uniform int ${key};\n#define ${key} ${key}` : `#define ${key} ${value}`));
     return ["#version 300 es", ...header, ...sizes, included(name)].join("\n");
   }
 

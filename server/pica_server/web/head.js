@@ -10,7 +10,8 @@ import { AXIS_ROW, axisLevels, pixelDefines, sirenSource } from "./siren.js";
 const WHOLE_M = [-1e6, -1e6 + 1];
 const [BORDER_M, FADE_M, LOWEST_M, CHIN_M] = [0.045, 0.1, -0.31, -0.12];
 const [BOUNDS_MARGIN_M, SLACK_M] = [0.01, 0.025];
-const [TEXTURE_PX, MARGIN_PX] = [1024, 8];
+/** The texture of what is still: at first a coarse one, for the first picture comes sooner. */
+const [COARSE_PX, TEXTURE_PX, MARGIN] = [256, 1024, 1 / 128];
 /** @type {[string, number][]} */
 const REST = [["vertex_xyz_m", 3], ["vertex_uv", 2], ["vertex_opacity", 1]];
 
@@ -97,17 +98,13 @@ export function openBody(graphics, programs, avatar, decoder) {
       sides.map((side, axis) => side[(index >> axis) & 1]));
   }
 
-  /** Colour the still face wherever it has a texture. */
-  function bake() {
-    const codes = graphics.target([still]);
-    decoder.decode([{ avatar, latent: avatar.floats("level.still", 256), view: [0, 0, 1],
-      level: MAP_SIZE, positions: null, codes }]);
-    graphics.free(codes);
+  /** Colour the still face wherever it has a texture. @param {number} side Pixels. */
+  function bake(side) {
     const faces = avatar.facesOf(MAP_SIZE, "textured");
     if (!faces.length) return null;
     const [xyz, uv, depth, skin] = [graphics.exact, graphics.pairs, /** @type {Format} */ ("DEPTH"),
         /** @type {Format} */ ("RGBA8")].map((format) =>
-        graphics.texture(format, TEXTURE_PX, TEXTURE_PX, { smooth: format === "RGBA8" }));
+        graphics.texture(format, side, side, { smooth: format === "RGBA8" }));
     const [surface, coloured] = [graphics.target([xyz, uv], depth), graphics.target([skin], depth)];
     const flat = atRest(faces);
     gl.enable(gl.DEPTH_TEST);
@@ -115,7 +112,7 @@ export function openBody(graphics, programs, avatar, decoder) {
     gl.depthMask(true);
     graphics.into(surface);
     gl.clear(gl.DEPTH_BUFFER_BIT);
-    graphics.drawMesh(programs.unwrap, flat, { margin: MARGIN_PX / TEXTURE_PX, box_m: box }, 9);
+    graphics.drawMesh(programs.unwrap, flat, { margin: MARGIN, box_m: box }, 9);
     graphics.into(coloured);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
@@ -136,13 +133,25 @@ export function openBody(graphics, programs, avatar, decoder) {
   }
 
   const box = Float32Array.from([...low, ...high]);
-  const skin = bake();
+  const codes = graphics.target([still]);
+  decoder.decode([{ avatar, latent: avatar.floats("level.still", 256), view: [0, 0, 1],
+    level: MAP_SIZE, positions: null, codes }]);
+  graphics.free(codes);
   return {
-    box, skin, mesh, colour, outline: outline(),
+    skin: bake(COARSE_PX),
+    isDrawn: false,
+    isSharp: false,
+    /** Give it the whole texture, after it was drawn once. */
+    sharpen() {
+      graphics.free(this.skin);
+      this.skin = bake(TEXTURE_PX);
+      this.isSharp = true;
+    },
+    box, mesh, colour, outline: outline(),
     /** Heights at which nothing is left of the bust, and from which all is there. */
     fadeM: [goneM, Math.max(Math.min(goneM + FADE_M, CHIN_M), goneM + 0.005)],
     free() {
-      graphics.free(...Object.values(encodings), still, skin, ...meshes.values());
+      graphics.free(...Object.values(encodings), still, this.skin, ...meshes.values());
       graphics.forget(shade); // its weights are constants
     },
   };

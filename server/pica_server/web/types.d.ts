@@ -63,7 +63,8 @@ interface Manifest {
 
 type Format =
   "RGBA8" | "RGBA16F" | "RGBA32F" | "RG16F" | "RG32F" | "RGB8" | "RGB32F" | "RGB16UI" | "DEPTH";
-type Defines = Record<string, string | number>;
+/** What stands for a name in a shader; null: a whole number that each draw tells. */
+type Defines = Record<string, string | number | null>;
 type Setters = Record<string, (value: any) => void>;
 type Texture =
   { handle: WebGLTexture; kind: number; width: number; height: number; format: Format };
@@ -105,7 +106,7 @@ interface Graphics {
 
 // Decoding
 
-type Pass = { shader: string; defines: Defines; columns: number; rows: number;
+type Pass = { program: string; numbers: Record<string, number>; columns: number; rows: number;
   table: "half" | "exact" };
 type Step = { pass: Pass; program: Program; images: Texture[]; target: Target | null };
 type Numbers = { format: Format; width: number; height: number; data: ArrayBufferView };

@@ -8,7 +8,7 @@ layout(location = 3) out vec4 value3;
 
 #include "decode.glsl"
 
-const int BLOCKS = SIZE / 2;
+#define BLOCKS (SIZE / 2)
 
 #ifdef FIRST
 // What the decoder begins with: the latent, and the view direction everywhere.
