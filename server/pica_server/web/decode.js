@@ -1,7 +1,7 @@
 /**
- * Latents to maps by shaders: all heads of a frame at once, as `render/gpu_decoder.py` does it with
- * the same text. Each step is one draw for all; an avatar's numbers are a layer of each array, laid
- * out as `render/gpu_tables.py` says.
+ * Latents to maps by shaders, as `render/gpu_decoder.py` does it with the same text, but one head
+ * after the other. Each step is one draw; an avatar's numbers are laid out as
+ * `render/gpu_tables.py` says.
  */
 
 import { DECODER, LEVELS, MAP_SIZE } from "./avatar.js";
@@ -11,9 +11,7 @@ import { blocks, scattered, vectors } from "./siren.js";
 const COLUMNS = 1024;
 const [DIRECTIONS_STEP, SHEET_STEP] = [512, 32];
 const [HEAD_TEXELS, VIEW, SCALE] = [66, 64, 65];
-/** Avatars of a bank: as many as in most calls. */
-const LAYERS = 4;
-/** What each program is told beside sizes; the file of a program comes first. */
+/** The file of each program, and what it is told beside sizes. */
 const PROGRAMS = {
   first: ["convolve", "BIAS", "FIRST"], convolve: ["convolve", "BIAS"],
   local: ["convolve", "BIAS", "LOCAL"], expand: ["expand", "BIAS"], full: ["full", "BIAS"],
@@ -24,147 +22,84 @@ const SIZES = ["SIZE", "IN_VECTORS", "WEIGHTS", "IS_LEAKY"];
 /** Decodes heads of any avatars. @param {Graphics} graphics */
 export function openDecoder(graphics) {
   const { gl } = graphics;
+  const heads = graphics.texture("RGBA32F", HEAD_TEXELS, 1);
   /** @type {Record<string, Program>} */
   const programs = {};
-  /** @type {Bank[]} */
-  const banks = [];
-  /** @param {Avatar} avatar */
-  const bankOf = (avatar) => banks.find(({ avatars }) => avatars.includes(avatar));
-  return {
-    /** Let the driver begin: programs are for all sizes and avatars. */
-    compile() {
-      for (const [name, [file, ...told]] of Object.entries(PROGRAMS)) {
-        const names = [...SIZES, ...told].map((each) => [each, null]);
-        programs[name] ??= graphics.screen(`decode_${file}.frag`, Object.fromEntries(names));
-      }
-    },
-    /** @param {Avatar} avatar */
-    add(avatar) {
-      this.compile();
-      if (bankOf(avatar)) return;
-      const { plan, arrays } = layOut(avatar);
-      const sizes = Object.values(arrays).map(({ width, height }) => [width, height]);
-      const key = JSON.stringify([plan, sizes]);
-      let bank = banks.find((each) => each.key === key && each.avatars.includes(null));
-      if (!bank) {
-        bank = openBank(graphics, programs, key, plan, arrays);
-        banks.push(bank);
-      }
-      const layer = bank.avatars.indexOf(null);
-      bank.avatars[layer] = avatar;
-      for (const [name, { data }] of Object.entries(arrays)) {
-        graphics.write(bank.arrays[name], data, layer);
-      }
-    },
-    /** @param {Avatar} avatar */
-    remove(avatar) {
-      const avatars = bankOf(avatar)?.avatars;
-      avatars?.splice(avatars.indexOf(avatar), 1, null);
-    },
-    /** @param {Job[]} jobs */
-    decode(jobs) {
-      for (const flag of [gl.DEPTH_TEST, gl.CULL_FACE, gl.BLEND, gl.SCISSOR_TEST]) gl.disable(flag);
-      for (const bank of banks) {
-        const own = jobs.filter(({ avatar }) => bank.avatars.includes(avatar));
-        if (own.length) bank.decode(own.sort((a, b) => b.level - a.level));
-      }
-    },
-  };
-}
+  /** What steps of one kind and size draw. @type {Map<string, Target & {images: Texture[]}>} */
+  const targets = new Map();
+  /** @type {Map<Avatar, {plan: Plan, arrays: Record<string, Texture>}>} */
+  const avatars = new Map();
 
-/** Avatars of one plan: their numbers, programs, and the images between.
- * @type {(graphics: Graphics, programs: Record<string, Program>, key: string, plan: Plan,
- * numbers: Record<string, Numbers>) => Bank} */
-function openBank(graphics, programs, key, plan, numbers) {
-  /** @type {(Avatar | null)[]} */
-  const avatars = Array(LAYERS).fill(null);
-  const arrays = Object.fromEntries(Object.entries(numbers)
-    .map(([name, { format, width, height }]) =>
-      [name, graphics.texture(format, width, height, { layers: LAYERS })]));
-  let capacity = 0;
-  /** @type {Texture | undefined} */
-  let heads;
-  /** @type {(pass: Pass) => Step} */
-  const open = (pass) =>
-    ({ pass, program: programs[pass.program], images: [], target: null });
-  const [trunk, exits, vertices] = [plan.trunk.map((part) => part.map(open)), plan.exits.map(open),
-    plan.vertices.map(open)];
-
-  /** Make the images between for so many heads. @param {number} count */
-  function reserve(count) {
-    if (count <= capacity) return;
-    capacity = 2 ** Math.ceil(Math.log2(count));
-    graphics.free(heads);
-    heads = graphics.texture("RGBA32F", HEAD_TEXELS, capacity);
-    for (const step of [...trunk.flat(), ...exits, ...vertices]) {
-      graphics.free(step.target, ...step.images);
-      const { numbers: { SIZE }, columns, rows } = step.pass;
-      const images = Array.from({ length: SIZE ? 4 : 1 }, () =>
-        graphics.texture(graphics.exact, columns, capacity * rows));
-      Object.assign(step, { images, target: graphics.target(images) });
+  /** Let the driver begin: programs are for all sizes and avatars. */
+  function compile() {
+    for (const [name, [file, ...told]] of Object.entries(PROGRAMS)) {
+      const names = [...SIZES, ...told].map((each) => [each, null]);
+      programs[name] ??= graphics.screen(`decode_${file}.frag`, Object.fromEntries(names));
     }
   }
 
-  /** What shaders read of images, whatever they call them, and are told.
-   * @type {(images: (Texture | undefined)[], pass?: Pass) => Record<string, any>} */
-  const inputs = ([phase0, phase1, phase2, phase3], pass) => ({ ...pass?.numbers, heads,
-    table: arrays[pass?.table ?? "half"], phase0, phase1, phase2, phase3, rows: phase0 });
-
-  /** Draw the first heads of a step; what it drew.
-   * @param {Step} step @param {number} count @param {(Texture | undefined)[]} images */
-  function run({ pass, program, target, images: drawn }, count, images) {
-    const all = /** @type {Target} */ (target);
-    graphics.draw(program, { ...all, height: count * pass.rows }, inputs(images, pass));
-    return drawn;
+  /** @param {Avatar} avatar */
+  function add(avatar) {
+    compile();
+    if (avatars.has(avatar)) return;
+    const { plan, numbers } = layOut(avatar);
+    const arrays = Object.entries(numbers).map(([name, { format, width, height, data }]) =>
+      [name, graphics.write(graphics.texture(format, width, height, { isArray: true }), data)]);
+    avatars.set(avatar, { plan, arrays: Object.fromEntries(arrays) });
   }
 
-  /** Go through the trunk, which heads leave at their levels.
-   * @param {Job[]} jobs Those of the full level first. */
-  function decodeCodes(jobs) {
-    /** @type {Texture[]} */
-    let images = [];
-    LEVELS.forEach((level, part) => {
-      const count = jobs.filter((job) => job.level >= level).length;
-      if (!count) return;
-      for (const step of trunk[part]) images = run(step, count, images);
-      const exit = jobs.some((job) => job.level === level) ? exits[part] : undefined;
-      const last = exit ? run(exit, count, images) : images;
-      jobs.forEach((job, head) => {
-        if (job.level !== level) return;
-        const program = exit ? programs.gather : programs.full;
-        graphics.draw(program, job.codes, { ...inputs(last, plan.full), head });
-      });
-    });
+  /** @param {Avatar} avatar */
+  function remove(avatar) {
+    graphics.free(...Object.values(avatars.get(avatar)?.arrays ?? {}));
+    avatars.delete(avatar);
   }
 
-  /** @param {Job[]} jobs */
-  function decodeVertices(jobs) {
-    let images = [heads];
-    for (const step of vertices) images = run(step, jobs.length, images);
-    jobs.forEach(({ level, positions }, head) => {
-      if (!positions) return;
-      const own = { basis: arrays.basis, places: arrays[`places ${level}`],
-        mean: arrays[`mean ${level}`] };
-      graphics.draw(programs.sheet, positions, { ...inputs(images), ...own, head });
-    });
+  /** @type {(pass: Pass) => Target & {images: Texture[]}} */
+  function targetOf({ program, numbers: { SIZE }, columns, rows }) {
+    const key = JSON.stringify([program, columns, rows]);
+    const images = targets.get(key)?.images ?? Array.from({ length: SIZE ? 4 : 1 }, () =>
+      graphics.texture(graphics.exact, columns, rows));
+    const target = targets.get(key) ?? { ...graphics.target(images), images };
+    targets.set(key, target);
+    return target;
+  }
+
+  /** @param {Job} job */
+  function decodeOne({ avatar, latent, view, level, positions, codes }) {
+    const { plan, arrays } =
+      /** @type {{plan: Plan, arrays: Record<string, Texture>}} */ (avatars.get(avatar));
+    /** What shaders read of images, whatever they call them, and are told.
+     * @type {(images: Texture[], pass?: Pass) => Record<string, any>} */
+    const inputs = ([phase0, phase1, phase2, phase3], pass) => ({ ...pass?.numbers, heads,
+      table: arrays[pass?.table ?? "half"], phase0, phase1, phase2, phase3, rows: phase0 });
+    /** @type {(steps: Pass[], images: Texture[]) => Texture[]} */
+    const run = (steps, images) => steps.reduce((before, pass) => {
+      const target = targetOf(pass);
+      graphics.draw(programs[pass.program], target, inputs(before, pass));
+      return target.images;
+    }, images);
+    const told = new Float32Array(4 * HEAD_TEXELS);
+    told.set(latent);
+    told.set([view[0], view[1], view[2]], 4 * VIEW);
+    told[4 * SCALE] = avatar.manifest.position_scale_m;
+    graphics.write(heads, told);
+    const part = LEVELS.indexOf(level);
+    const exit = plan.exits.slice(part, part + 1);
+    const last = run([...plan.trunk.slice(0, part + 1).flat(), ...exit], []);
+    const program = exit.length ? programs.gather : programs.full;
+    graphics.draw(program, codes, { ...inputs(last, plan.full), head: 0 });
+    if (!positions) return;
+    graphics.draw(programs.sheet, positions, { ...inputs(run(plan.vertices, [heads])), head: 0,
+      basis: arrays.basis, places: arrays[`places ${level}`], mean: arrays[`mean ${level}`] });
   }
 
   /** @param {Job[]} jobs */
   function decode(jobs) {
-    reserve(jobs.length);
-    const told = new Float32Array(jobs.length * HEAD_TEXELS * 4);
-    jobs.forEach(({ avatar, latent, view }, row) => {
-      const start = 4 * HEAD_TEXELS * row;
-      told.set(latent, start);
-      told.set([view[0], view[1], view[2], avatars.indexOf(avatar)], start + 4 * VIEW);
-      told[start + 4 * SCALE] = avatar.manifest.position_scale_m;
-    });
-    graphics.write(/** @type {Texture} */ (heads), told, 0, jobs.length);
-    decodeCodes(jobs);
-    if (jobs.some(({ positions }) => positions)) decodeVertices(jobs);
+    for (const flag of [gl.DEPTH_TEST, gl.CULL_FACE, gl.BLEND, gl.SCISSOR_TEST]) gl.disable(flag);
+    jobs.forEach(decodeOne);
   }
 
-  return { key, avatars, arrays, decode };
+  return { compile, add, remove, decode };
 }
 
 /** An avatar's steps and numbers. @param {Avatar} avatar */
@@ -257,14 +192,14 @@ function layOut(avatar) {
   const basis = new Uint8Array(room * MAP_SIZE * 3).fill(128);
   basis.set(avatar.integers("linear.basis", directions * MAP_SIZE * 3));
   /** @type {Record<string, Numbers>} */
-  const arrays = {
+  const all = {
     half: numbers("half", "RGBA16F"),
     exact: numbers("exact", "RGBA32F"),
     basis: { format: "RGB8", width: MAP_SIZE, height: room, data: basis },
   };
-  for (const level of LEVELS) Object.assign(arrays, sheetNumbers(avatar, level));
+  for (const level of LEVELS) Object.assign(all, sheetNumbers(avatar, level));
   const trunk = [steps.slice(0, 6), steps.slice(6, 8), steps.slice(8, 9)]; // up to each level
-  return { plan: { trunk, exits, full: steps[9], vertices }, arrays };
+  return { plan: { trunk, exits, full: steps[9], vertices }, numbers: all };
 }
 
 /** Places and means of a level's vertices.

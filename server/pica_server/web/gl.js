@@ -150,12 +150,12 @@ export function openGraphics(gl, texts, onlyHalfs = false) {
       gl.drawElementsInstanced(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0, copies);
     },
 
-    texture(format, width, height, { smooth = false, levels = 1, layers = 0 } = {}) {
-      const kind = layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D;
+    texture(format, width, height, { smooth = false, levels = 1, isArray = false } = {}) {
+      const kind = isArray ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D;
       const found = { handle: gl.createTexture(), kind, width, height, format };
       bind(found);
       const [internal] = formats(format);
-      if (layers) gl.texStorage3D(kind, 1, internal, width, height, layers);
+      if (isArray) gl.texStorage3D(kind, 1, internal, width, height, 1);
       else gl.texStorage2D(kind, levels, internal, width, height);
       const filter = smooth ? gl.LINEAR : gl.NEAREST;
       gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, levels > 1 ? gl.LINEAR_MIPMAP_LINEAR : filter);
@@ -165,14 +165,14 @@ export function openGraphics(gl, texts, onlyHalfs = false) {
       return found;
     },
 
-    write(texture, data, layer = 0, rows = texture.height) {
-      const { kind, width } = texture;
+    write(texture, data) {
+      const { kind, width, height } = texture;
       const [, components, type] = formats(texture.format);
       bind(texture);
       if (kind === gl.TEXTURE_2D) {
-        gl.texSubImage2D(kind, 0, 0, 0, width, rows, components, type, data);
+        gl.texSubImage2D(kind, 0, 0, 0, width, height, components, type, data);
       } else {
-        gl.texSubImage3D(kind, 0, 0, 0, layer, width, rows, 1, components, type, data);
+        gl.texSubImage3D(kind, 0, 0, 0, 0, width, height, 1, components, type, data);
       }
       return texture;
     },

@@ -92,11 +92,11 @@ interface Graphics {
   draw(program: Program, target: Target, uniforms: Record<string, any>): void;
   drawMesh(
     program: Program, mesh: Triangles, uniforms: Record<string, any>, copies?: number): void;
-  /** A texture; with layers, an array of them. */
+  /** A texture, or an array of one. */
   texture(format: Format, width: number, height: number,
-    options?: { smooth?: boolean; levels?: number; layers?: number }): Texture;
-  /** Fill a texture, its first rows, or a layer of it. */
-  write(texture: Texture, data: ArrayBufferView, layer?: number, rows?: number): Texture;
+    options?: { smooth?: boolean; levels?: number; isArray?: boolean }): Texture;
+  /** Fill a texture. */
+  write(texture: Texture, data: ArrayBufferView): Texture;
   /** What draws into textures. */
   target(colours: Texture[], depth?: Texture): Target;
   /** Triangles of vertices that have these numbers each. */
@@ -108,12 +108,9 @@ interface Graphics {
 
 type Pass = { program: string; numbers: Record<string, number>; columns: number; rows: number;
   table: "half" | "exact" };
-type Step = { pass: Pass; program: Program; images: Texture[]; target: Target | null };
 type Numbers = { format: Format; width: number; height: number; data: ArrayBufferView };
 /** The trunk is parted where levels leave it. */
 type Plan = { trunk: Pass[][]; exits: Pass[]; full: Pass; vertices: Pass[] };
-type Bank = { key: string; avatars: (Avatar | null)[]; arrays: Record<string, Texture>;
-  decode(jobs: Job[]): void };
 type Decoder = ReturnType<typeof import("./decode.js").openDecoder>;
 /** One head to decode: the camera as its head sees it, of length 1, and where its vertices go, null
  * to keep them, and its expression map. */
