@@ -72,6 +72,14 @@ class Tab:
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
+    def tap(self, identity: str) -> None:
+        """Press an element as a person does."""
+        box = f"document.getElementById({identity!r}).getBoundingClientRect()"
+        x, y = self.value(f"(({{left, top}}) => [left + 3, top + 3])({box})")
+        for kind in ("mousePressed", "mouseReleased"):
+            mouse = {"x": x, "y": y, "button": "left", "clickCount": 1}
+            self.send("Input.dispatchMouseEvent", type=kind, **mouse)
+
     def until(self, script: str, timeout_s: float = 10.0) -> Any:
         """Wait until an expression is true in the page, and return what it gives."""
         ends_s = time.monotonic() + timeout_s
