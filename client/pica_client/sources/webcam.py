@@ -171,7 +171,8 @@ def pictures(
         # Damaged from here on, or the camera was pulled; PyAV finds no stream that is new.
         with suppress(av.FFmpegError, LookupError):
             for frame in container.decode(video=0):
-                taken_s, is_empty = frame.time, False
+                picture, taken_s = _upright(frame, container.name), frame.time
+                is_empty = False
                 if is_video:
                     known = taken_s is not None and before_s is not None
                     step_s = taken_s - before_s if known else USUAL_STEP_S
@@ -179,7 +180,7 @@ def pictures(
                     before_s, taken_s = taken_s, shown_s
                 if wait(max(began_s + shown_s - time.monotonic(), 0.0) if is_video else 0.0):
                     return
-                yield _upright(frame, container.name), taken_s
+                yield picture, taken_s
         if not is_video or is_empty:
             return
         with suppress(av.FFmpegError):  # a stream that cannot be rewound gives nothing more

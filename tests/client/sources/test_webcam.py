@@ -196,6 +196,17 @@ def test_a_film_in_which_a_stream_begins_later_is_shown_as_far_as_it_is_read() -
     assert len(list(itertools.islice(pictures(container, True, lambda seconds: False), 3))) == 3
 
 
+def test_a_film_of_which_nothing_can_be_shown_ends() -> None:
+    av = pytest.importorskip("av")
+
+    def to_image(threads: int) -> None:
+        raise av.InvalidDataError(0, "damaged")
+
+    film = [SimpleNamespace(time=0.0, to_image=to_image)]
+    container = SimpleNamespace(name="", decode=lambda video: film, seek=lambda offset: None)
+    assert not list(pictures(container, True, lambda seconds: pytest.fail("waits for nothing")))
+
+
 def test_a_picture_too_large_is_not_decoded(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     Image.new("L", (4096, 2305)).save(path := tmp_path / "large.png")
