@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 WEB = ROOT / "server" / "pica_server" / "web"
 KINDS = {".js", ".ts", ".html", ".css"}
 TSC = HERE / "node_modules" / ".bin" / "tsc"
-MAX_LINES, MAX_BYTES = 5_317, 227_100
+MAX_LINES, MAX_BYTES = 5_280, 226_000
 
 
 def test_modules_are_typed() -> None:

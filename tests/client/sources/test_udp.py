@@ -87,6 +87,12 @@ def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:
             open_live("livelink", f"{port}")
 
 
+def test_a_phone_on_this_machine_is_listened_to_at_no_other_address() -> None:
+    datagrams = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with closing(open_live("facemotion3d", "127.0.0.1")) as tracker, datagrams as other:
+        other.bind(("127.0.0.2", tracker.port))  # taken, if every address were listened to
+
+
 def test_a_silent_tracker_says_where_it_must_send_to(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pica_client.sources.tracker.SILENT_S", 0.0)
     for place, words in (("0", "use vmc:lan"), ("lan:0", "must send to")):
