@@ -28,8 +28,9 @@ def folder_proxy(folder: str, relay_port: int) -> Iterator[int]:
             target.shutdown(socket.SHUT_WR)
 
     def serve_one(client: socket.socket) -> None:
-        # A relay answers one request on a connection.
-        with client, socket.create_connection(("127.0.0.1", relay_port)) as relay:
+        # A relay answers one request on a connection; one that has ended answers none.
+        address, over = ("127.0.0.1", relay_port), contextlib.suppress(OSError)
+        with client, over, socket.create_connection(address) as relay:
             relay.sendall(client.recv(65_536).replace(f" {folder}/".encode(), b" /", 1))
             back = threading.Thread(target=copy, args=(relay, client), daemon=True)
             back.start()
