@@ -143,8 +143,8 @@ class StatusPages:
             "avatar_store_bytes": used_bytes,
             "avatar_store_free_bytes": num_free_bytes,
             "nats_lost": self._has_lost_nats,
-            "open_connections": len(hub.connections.open),
-            "rooms": len(hub.membership.rooms),
+            "open_connections": hub.num_connections,
+            "rooms": hub.num_rooms,
             "draining": hub.connections.is_draining,
             "overload": hub.overload.refuses(now),
         }

@@ -145,8 +145,8 @@ class Relay:
         """Return the counters, and what is open now."""
         hub = self.hub
         return {
-            "open_connections": len(hub.connections.open),
-            "rooms": len(hub.membership.rooms),
+            "open_connections": hub.num_connections,
+            "rooms": hub.num_rooms,
             **hub.stats.as_dict(),
         }
 

@@ -50,7 +50,7 @@ def folder_proxy(folder: str, relay_port: int) -> Iterator[int]:
 
 @contextlib.contextmanager
 def moving_relay(url: str) -> Iterator[str]:
-    """The address of a relay that has the page, and sends whoever joins to another one."""
+    """The address of a relay that has the page, and sends participants who join to another one."""
     page = WebPage(page_files())
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:

@@ -350,7 +350,5 @@ def _check(hub: Hub, friends: list[Friend]) -> None:
                     )
     if {each.peer.identity for each in hub.membership.rooms["lobby"].members.values()} != names:
         raise BrokenPromiseError("a member is still in the room")
-    if len(hub.membership.rooms) != 1 or len(hub.connections.open) != len(friends):
-        raise BrokenPromiseError(
-            f"{len(hub.connections.open)} connections, {len(hub.membership.rooms)} rooms"
-        )
+    if hub.num_rooms != 1 or hub.num_connections != len(friends):
+        raise BrokenPromiseError(f"{hub.num_connections} connections, {hub.num_rooms} rooms")

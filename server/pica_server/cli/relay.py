@@ -79,7 +79,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                 _say_what_is_open(options.config)
                 first = await signals.get()
             if first == signal.SIGTERM and options.config.drain_s > 0:
-                num_open = len(server.hub.connections.open)
+                num_open = server.hub.num_connections
                 _say("draining", f"draining, {num_open} connections to send away", open=num_open)
                 tasks = [asyncio.create_task(each) for each in (server.drain(), signals.get())]
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -87,7 +87,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
                 server.cut()
-            num_open = len(server.hub.connections.open)
+            num_open = server.hub.num_connections
             _say("stopping", f"stopping, {num_open} connections to close", open=num_open)
         stats = server.stats()
         _say(

@@ -218,9 +218,7 @@ class RoomPlacement:
         """Write a beat over the last one; if that is missing, look at all rooms again."""
         hub, now = self._hub, self._now()
         is_draining = hub.connections.is_draining
-        beat = Beat(
-            self.me, self._url, len(hub.connections.open), hub.takes_rooms(now), is_draining
-        )
+        beat = Beat(self.me, self._url, hub.num_connections, hub.takes_rooms(now), is_draining)
         self._hear(beat, now)
         key, was_up = f"relay.{self.me}", self.is_up
         revision = await self._bucket.write(key, _encode(beat), self._revision)

@@ -67,6 +67,16 @@ class Hub:
         self._config = config
         self._departures: deque[tuple[float, str]] = deque()
 
+    @property
+    def num_connections(self) -> int:
+        """Connections that are not over yet."""
+        return len(self.connections.open)
+
+    @property
+    def num_rooms(self) -> int:
+        """Rooms with peers in them."""
+        return len(self.membership.rooms)
+
     def takes_rooms(self, now: float) -> bool:
         """Whether there is a place for rooms that are placed on this relay."""
         connections = self.connections

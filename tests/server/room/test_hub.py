@@ -72,7 +72,7 @@ def test_a_handshake_is_late_at_its_deadline() -> None:
     hub.handle_timer(now=15.0)
     assert connection.closed is not None
     assert connection.closed.code == CloseCode.HANDSHAKE_TIMEOUT
-    assert len(hub.connections.open) == 0
+    assert hub.num_connections == 0
 
 
 def test_a_peer_that_merely_has_nothing_to_read_is_not_late() -> None:
