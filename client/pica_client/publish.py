@@ -1,4 +1,4 @@
-"""A face on its way out: source -> payload -> frame, at a steady rate; and
+"""A face on its way out: source -> expression encoder -> payload -> frame, at a steady rate; and
 controls of it while it is sent: choose another source, see what the tracker sees.
 
 The link is run by an endpoint: a `Sender`, which does nothing else, or a
