@@ -1,12 +1,13 @@
-"""Install each part alone in a fresh environment and start it there.
+"""Install the parts that run alone in fresh environments, and start them there.
 
     base    `pica relay` starts, and neither numpy nor torch is installed
+    cluster with it, and without numpy, the relay's way to NATS imports
     view    every module of `pica_client` imports, and torch, SciPy and cryptography are not there;
             only those of `pica_client.e2ee` need the extra seal, and the benches the extra bench
     seal    with it, a sender's install imports them too
-    cluster with it, and without numpy, the relay's way to NATS imports
 
-The environments are temporary; wheels come from pip's cache when it has them.
+The first three grow in one environment, as none may have what a later one brings. Both are
+temporary; wheels come from pip's cache when it has them.
 """
 
 from __future__ import annotations
@@ -23,14 +24,28 @@ ROOT = Path(__file__).resolve().parent.parent
 TIMEOUT_S = 60
 
 
-def make_environment(folder: Path, extra: str) -> Path:
-    """A virtual environment with the project (as a wheel, not editable) and one extra."""
-    venv.create(folder, with_pip=True)
-    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
-    target = f"{ROOT}[{extra}]" if extra else str(ROOT)
-    command = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-    subprocess.run([*command, "--constraint", str(ROOT / "constraints.txt"), target], check=True)
-    return python
+class Environment:
+    """A virtual environment in a new folder.
+
+    Args:
+        wheel: The project, built once for all.
+    """
+
+    def __init__(self, folder: Path, wheel: Path) -> None:
+        self._wheel, self.folder = wheel, folder
+        venv.create(folder, with_pip=True)
+        self.python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+
+    def install(self, extras: str) -> None:
+        """Install the project with these extras."""
+        target = f"{self._wheel}[{extras}]" if extras else str(self._wheel)
+        pip(self.python, "install", "--constraint", str(ROOT / "constraints.txt"), target)
+
+
+def pip(python: Path, command: str, *arguments: str) -> None:
+    """Run a command of pip."""
+    words = [str(python), "-m", "pip", "--disable-pip-version-check", command, "--quiet"]
+    subprocess.run([*words, *arguments], check=True)
 
 
 def assert_absent(python: Path, *modules: str) -> None:
@@ -41,9 +56,10 @@ def assert_absent(python: Path, *modules: str) -> None:
         sys.exit(f"one of {', '.join(modules)} is installed in {python.parent.parent}")
 
 
-def check_relay(folder: Path) -> None:
+def check_relay(base: Environment) -> None:
     """The base install runs a relay without numpy."""
-    python = make_environment(folder, "")
+    base.install("")
+    python, folder = base.python, base.folder
     assert_absent(python, "numpy", "torch", "onnxruntime", "moderngl")
     ready = folder / "ready"
     words = ["-I", "-m", "pica_command", "relay", "--port", "0", "--ready-file", str(ready)]
@@ -87,33 +103,38 @@ def import_modules(python: Path, inside: str, *left_out: str) -> str:
     return output.stdout.strip()
 
 
-def check_client(folder: Path) -> None:
-    """The viewer's install imports the client but its benches: no torch, SciPy, cryptography."""
-    python = make_environment(folder, "view")
-    assert_absent(python, "torch", "scipy", "cryptography")
-    others = ("pica_client.e2ee.", "pica_client.bench.", "pica_client.cli.bench")
-    print(f"view: {import_modules(python, 'pica_client', *others)}")
-
-
-def check_seal(folder: Path) -> None:
-    """A sender's install can encrypt with the extra seal, without what only a viewer needs."""
-    python = make_environment(folder, "send,seal")
-    assert_absent(python, "torch", "onnxruntime", "moderngl")
-    print(f"seal: {import_modules(python, 'pica_client.e2ee')}")
-
-
-def check_cluster(folder: Path) -> None:
+def check_cluster(base: Environment) -> None:
     """A relay's install has its way to NATS with the extra cluster."""
-    python = make_environment(folder, "cluster")
-    assert_absent(python, "numpy", "torch")
-    print(f"cluster: {import_modules(python, 'pica_server.placement.bucket')}")
+    base.install("cluster")
+    assert_absent(base.python, "numpy", "torch")
+    print(f"cluster: {import_modules(base.python, 'pica_server.placement.bucket')}")
+
+
+def check_client(base: Environment) -> None:
+    """The viewer's install imports the client but its benches: no torch, SciPy, cryptography."""
+    base.install("view")
+    assert_absent(base.python, "torch", "scipy", "cryptography")
+    others = ("pica_client.e2ee.", "pica_client.bench.", "pica_client.cli.bench")
+    print(f"view: {import_modules(base.python, 'pica_client', *others)}")
+
+
+def check_seal(sender: Environment) -> None:
+    """A sender's install can encrypt with the extra seal, without what only a viewer needs."""
+    sender.install("send,seal")
+    assert_absent(sender.python, "torch", "onnxruntime", "moderngl")
+    print(f"seal: {import_modules(sender.python, 'pica_client.e2ee')}")
 
 
 def main() -> None:
-    """Check each in its own temporary folder."""
-    for check in (check_relay, check_client, check_seal, check_cluster):
-        with tempfile.TemporaryDirectory(prefix="pica-extras-") as folder:
-            check(Path(folder))
+    """Build the project, and check all."""
+    with tempfile.TemporaryDirectory(prefix="pica-extras-") as name:
+        folder = Path(name)
+        pip(Path(sys.executable), "wheel", "--no-deps", "--wheel-dir", name, str(ROOT))
+        (wheel,) = folder.glob("*.whl")
+        base = Environment(folder / "base", wheel)
+        for check in (check_relay, check_cluster, check_client):
+            check(base)
+        check_seal(Environment(folder / "sender", wheel))
 
 
 if __name__ == "__main__":
