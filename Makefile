@@ -13,7 +13,8 @@ demo: .venv/.ready-demo
 	$(BIN)/pica demo $(DEMO)
 
 test: libraries
-	@$(MAKE) --no-print-directory static pytest
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target static
+	@$(MAKE) --no-print-directory pytest
 
 libraries: .venv/.ready-test
 	@sh scripts/system_libraries.sh
