@@ -5,8 +5,11 @@ import os
 import select
 import signal
 import socket
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +32,7 @@ from pica_server.room.connections import LATE_S
 from pica_server.tokens import ANY_ROOM, Admission, load_keys, mint, new_key_line
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
-from simnet.peers import now, open_websocket, peer_in_room
+from simnet.peers import FACE, now, open_websocket, peer_in_room
 from simnet.relays import RelayProcess, start_relay
 
 pytestmark = pytest.mark.call
@@ -75,6 +78,21 @@ async def test_a_slow_reader_gets_fewer_but_fresh_frames_and_costs_nobody_else_a
         assert sequences[-1] == 599
         stats = relay.stats()
         assert stats["dropped"]["replaced"] == 600 - len(slow.arrivals)
+
+
+@in_virtual_time
+async def test_messages_to_a_receiver_stay_short_for_as_long_as_it_is_slow() -> None:
+    current_network().route("modem", down=Wire(rate_bps=16_000, queue_bytes=2048))
+    async with (
+        Relay(RelayConfig()),
+        peer_in_room(URL, "Ada", tracks=(FACE,) * 4) as ada,
+        peer_in_room("ws://modem:8765", "Slow", tracks=()) as slow,
+    ):
+        for number in range(1800):
+            await ada.send_frame(bytes(250), track=number % 4)
+            await asyncio.sleep(0.01)
+        together = Counter(at for at, _ in slow.arrivals)
+        assert set(together.values()) == {1}  # two of them are more than SLOW_MESSAGE_BYTES
 
 
 @in_virtual_time
@@ -161,40 +179,30 @@ async def test_a_relay_stops_in_time_although_a_peer_does_not_read() -> None:
         stuck.websocket.transport.abort()
 
 
-@pytest.mark.parametrize("listed", [("https://app.example",), ()])
-@in_virtual_time
-async def test_a_web_page_may_connect_only_if_it_is_on_the_list(listed: tuple[str, ...]) -> None:
-    async with Relay(RelayConfig(origins=listed)):
-        for origin in ("https://app.example", "https://evil.example", "http://localhost"):
-            opening = connect(URL, origin=Origin(origin), proxy=None, subprotocols=PICA)
-            if origin in listed:
-                async with opening:
-                    pass
-            else:
-                with pytest.raises(InvalidStatus, match="403"):
-                    await opening
-        async with peer_in_room(URL, "Ada"):
-            pass
+LISTED, OWN, OPEN = "https://app.example", "https://relay:8765", {"host": "0.0.0.0"}
 
 
 @pytest.mark.parametrize(
-    ("config", "is_let_in"),
+    ("options", "let_in"),
     [
-        (RelayConfig(host="0.0.0.0", insecure=True), True),
-        (RelayConfig(host="0.0.0.0", insecure=True, web=False), False),
-        (RelayConfig(), False),  # the name was made to point to this machine
+        ({"origins": (LISTED,)}, {LISTED}),
+        ({}, set()),  # the relay's own name was made to point to this machine
+        (OPEN, {OWN}),
+        (OPEN | {"web": False}, set()),
     ],
 )
 @in_virtual_time
-async def test_the_relays_own_page_may_connect(config: RelayConfig, is_let_in: bool) -> None:
-    async with Relay(config):
-        opening = connect(URL, origin=Origin("https://relay:8765"), proxy=None, subprotocols=PICA)
-        if is_let_in:
-            async with opening:
-                pass
-        else:
-            with pytest.raises(InvalidStatus, match="403"):
-                await opening
+async def test_a_web_page_may_connect_only_if_it_is_on_the_list_or_the_relays_own(
+    options: dict[str, Any], let_in: set[str]
+) -> None:
+    async with Relay(RelayConfig(insecure=True, **options)):
+        for page in (LISTED, OWN, "https://evil.example", "http://localhost"):
+            refusal = nullcontext() if page in let_in else pytest.raises(InvalidStatus, match="403")
+            with refusal:
+                async with connect(URL, origin=Origin(page), proxy=None, subprotocols=PICA):
+                    pass
+        async with peer_in_room(URL, "Ada"):
+            pass
 
 
 @pytest.mark.parametrize(("busy_ratio", "num_messages"), [(0.6, 8), (1.0, 1)])
