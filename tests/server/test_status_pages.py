@@ -45,15 +45,12 @@ def status(pages: StatusPages, path: str, now: float) -> int | None:
     return None if page is None else page.status
 
 
-def test_a_full_relay_is_not_ready_but_well() -> None:
+def test_a_relay_that_is_full_or_sends_everybody_away_is_not_ready_but_well() -> None:
     answers, hub = pages(RelayConfig(max_connections=1))
     assert status(answers, "/readyz", now=0.0) == 200
     hub.connect(now=0.0)
     assert status(answers, "/readyz", now=0.0) == 503
     assert status(answers, "/healthz", now=0.0) == 200
-
-
-def test_a_relay_that_sends_everybody_away_is_not_ready_but_well() -> None:
     answers, hub = pages()
     hub.drain(now=0.0)
     page = answers.answer("/readyz", is_local=True, now=0.0)

@@ -104,15 +104,9 @@ def test_unitys_head_turned_to_the_subjects_left_turns_left_here() -> None:
     # In Unity, which is left-handed with y up, a turn of +30 degrees about y takes the nose, +z,
     # to +x. +x is the subject's right there, and -x here.
     half = math.radians(15)
-    (sample,) = VmcDecoder().decode(
-        tracker_packets.vmc(
-            {"jawOpen": 0.0},
-            bones={
-                "Neck": (0.0, 0.0, 0.0, 1.0),
-                "Head": (0.0, math.sin(half), 0.0, math.cos(half)),
-            },
-        )
-    )
+    turned = (0.0, math.sin(half), 0.0, math.cos(half))
+    bones = {"Neck": (0.0, 0.0, 0.0, 1.0), "Head": turned}
+    (sample,) = VmcDecoder().decode(tracker_packets.vmc({"jawOpen": 0.0}, bones=bones))
     np.testing.assert_allclose(sample.rotation, [0, -math.radians(30), 0], atol=1e-6)
 
 

@@ -109,9 +109,8 @@ def test_the_first_address_is_the_tracker_until_it_is_silent(phone: socket.socke
     ):
         other.bind(("127.0.0.2", 0))
         stream(phone, tracker, 0.5)
-        other.sendto(
-            tracker_packets.live_link({"JawOpen": 1.0}, frame=9_999), ("127.0.0.1", tracker.port)
-        )
+        packet = tracker_packets.live_link({"JawOpen": 1.0}, frame=9_999)
+        other.sendto(packet, ("127.0.0.1", tracker.port))
         until(lambda: bool(tracker.refused))
         assert tracker.sender == "127.0.0.1"
         assert max(jaws) == pytest.approx(0.5)
@@ -132,12 +131,8 @@ def samples() -> list[tuple[float, TrackerSample]]:
     for index in range(90):
         arkit = np.full(NUM_ARKIT, np.nan, np.float32)
         arkit[JAW] = 0.5 + 0.5 * np.sin(index / 10)
-        made.append(
-            (
-                100 + index / 30,
-                TrackerSample(tracker_s=index / 30, arkit=arkit, has_face=index < 80),
-            )
-        )
+        sample = TrackerSample(tracker_s=index / 30, arkit=arkit, has_face=index < 80)
+        made.append((100 + index / 30, sample))
     return made
 
 

@@ -1,6 +1,8 @@
 """What is said of an address where something answers that is no relay."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 import pytest
 
@@ -18,6 +20,21 @@ async def said_of(url: str) -> str:
     return str(caught.value)
 
 
+@asynccontextmanager
+async def answering(answer: bytes) -> AsyncIterator[tuple[int, list[bytes]]]:
+    """The port of somebody who answers all with that, {port} in it filled in, and what came."""
+    requests: list[bytes] = []
+
+    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        requests.append(await reader.read(100))
+        writer.write(answer.replace(b"{port}", b"%d" % port))
+        writer.close()
+
+    async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        yield port, requests
+
+
 @pytest.mark.parametrize(
     ("answer", "scheme", "told"),
     [
@@ -29,32 +46,18 @@ async def said_of(url: str) -> str:
 )
 @pytest.mark.asyncio
 async def test_a_stranger_is_quoted(answer: bytes, scheme: str, told: str) -> None:
-    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await reader.read(100)
-        writer.write(answer)
-        writer.close()
-
-    async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
-        port = server.sockets[0].getsockname()[1]
+    async with answering(answer) as (port, _):
         assert told in await said_of(f"{scheme}://127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("target", ["/admin", "ws://localhost:{port}/", "https://example.org/"])
 @pytest.mark.asyncio
 async def test_a_redirect_of_http_is_not_followed(target: str) -> None:
-    lines = []
-
-    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        lines.append(await reader.readline())
-        place = target.format(port=port)
-        writer.write(f"HTTP/1.1 302 Found\r\nLocation: {place}\r\n\r\n".encode())
-        writer.close()
-
-    async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
-        port = server.sockets[0].getsockname()[1]
+    redirect = f"HTTP/1.1 302 Found\r\nLocation: {target}\r\n\r\n".encode()
+    async with answering(redirect) as (port, requests):
         with pytest.raises(RelayRefusedError, match="answers HTTP 302, not as a relay"):
             await Link(LinkConfig(url=f"ws://127.0.0.1:{port}")).run()
-    assert len(lines) == 1
+    assert len(requests) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """The faces of a call on their way to the picture, without a viewer."""
 
 import math
-from collections.abc import Container
+from collections.abc import Container, Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer
 from pica_client.schedule.scheduler import Scheduler
-from pica_client.ui.avatar_presenter import AvatarPresenter
+from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.gl import create_context
@@ -52,26 +52,32 @@ class MovingFaces:
         """There is no stream."""
 
 
-@pytest.mark.parametrize(("budget_s", "num_faces"), [(math.inf, 30), (0.0, 8)])
-def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
-    budget_s: float, num_faces: int
-) -> None:
+Shown = tuple[AvatarPresenter, DecodePool, CallScene, float]
+
+
+def images(faces: MovingFaces, levels: dict[str, int], budget_s: float) -> Iterator[Shown]:
+    """A second of images, each with its moment, after what was to be decoded for it is."""
     context = create_context()
-    spoken = {"p1": 0}
-    seen: dict[str, set[bytes]] = {"p1": set(), "p2": set()}
     with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
-        presenter = AvatarPresenter(
-            MovingFaces(), renderer, pool, Scheduler(), levels=lambda: {**spoken, "p2": 127}
-        )
+        presenter = AvatarPresenter(faces, renderer, pool, Scheduler(), levels=lambda: levels)
         for image in range(31):
             now = 1 + image / 30
             scene = presenter.arrange(now, (160, 90))
             presenter.decide(scene, (scene.camera,), budget_s)
             pool.wait_idle(10.0)
-            presenter.collect(now)
-            for placement in presenter.dressed(scene).placements if image else ():
-                seen[placement.slot].add(placement.world_from_head.tobytes())
+            yield presenter, pool, scene, now
     context.release()
+
+
+@pytest.mark.parametrize(("budget_s", "num_faces"), [(math.inf, 30), (0.0, 8)])
+def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
+    budget_s: float, num_faces: int
+) -> None:
+    seen: dict[str, set[bytes]] = {"p1": set(), "p2": set()}
+    for presenter, _, scene, now in images(MovingFaces(), {"p1": 0, "p2": 127}, budget_s):
+        presenter.collect(now)
+        for placement in presenter.dressed(scene).placements if now > 1 else ():
+            seen[placement.slot].add(placement.world_from_head.tobytes())
     assert len(seen["p1"]) == 30
     assert num_faces <= len(seen["p2"]) <= num_faces + 2
 
@@ -79,19 +85,9 @@ def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
 @pytest.mark.parametrize("pace", [0.2, 1.0])
 def test_a_face_that_waits_for_its_decode_is_the_newest_by_then(pace: float) -> None:
     """Whether a change is too small to be decoded at once, or drawing leaves no time for it."""
-    context = create_context()
     ages_us = []
-    with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
-        presenter = AvatarPresenter(
-            MovingFaces(pace), renderer, pool, Scheduler(), levels=lambda: {"p1": 0, "p2": 127}
-        )
-        for image in range(31):
-            now = 1 + image / 30
-            scene = presenter.arrange(now, (160, 90))
-            presenter.decide(scene, (scene.camera,), 0.0)
-            pool.wait_idle(10.0)
-            faces = [result for result in pool.take_results() if result.parts == "both"]
-            ages_us += [round(1e6 * now) - face.captured_us for face in faces]
-    context.release()
+    for _, pool, _, now in images(MovingFaces(pace), {"p1": 0, "p2": 127}, 0.0):
+        faces = [result for result in pool.take_results() if result.parts == "both"]
+        ages_us += [round(1e6 * now) - face.captured_us for face in faces]
     assert len(ages_us) >= 8
     assert max(ages_us) <= 1
