@@ -6,6 +6,7 @@ the eyes go, since nothing here is transparent. Eyeballs are found by their shap
 
 import re
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -200,6 +201,11 @@ def _weld(source: RigSource) -> tuple[Int64Array, Int64Array]:
     for delta in source.shapes.values():
         sums += delta.astype(np.float64) @ random.normal(size=(3, 2)) / size
     table = np.rint(np.concatenate([source.positions / size, sums], 1) * 1e6).astype(np.int64)
+    return _alike(table)
+
+
+def _alike(table: npt.NDArray[Any]) -> tuple[Int64Array, Int64Array]:
+    """Index of the first row of each group of equal rows, in order, and the group of each row."""
     _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -297,6 +303,17 @@ def _parts(
     return part
 
 
+def _is_first(faces: IntArray, among: BoolArray) -> BoolArray:
+    """Whether none of these faces before it has the same vertices in the same order: what is drawn
+    several times at one place is packed and posed once. bool ``[F]``."""
+    index = np.flatnonzero(among)
+    turn = (faces[index].argmin(1)[:, None] + np.arange(3)) % 3
+    turned = np.take_along_axis(faces[index], turn, 1)
+    is_first = np.zeros(len(faces), np.bool_)
+    is_first[index[_alike(turned)[0]]] = True
+    return is_first
+
+
 @np.errstate(over="ignore", invalid="ignore")  # what is no number is beyond a limit
 def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     """Bring a rig into our units, axes and names, and find its parts.
@@ -320,10 +337,13 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     middle_x = 0.5 * float(rest[:, 0].min() + rest[:, 0].max())
     motion = _motion(source, names, frame, keep, rest[:, 0] - middle_x)
     faces = group[source.faces].astype(np.int32)
-    uv_faces, material = source.faces, source.face_material
+    # What normals alone tell apart, or a file without indices, is no seam.
+    corner, place = _alike(np.column_stack([group, np.rint(source.uv * 1e6)]))
+    uv_faces, material = place[source.faces].astype(np.int32), source.face_material
     overlay = [k for k, name in enumerate(source.materials) if OVERLAY.search(name)]
     shown = ~np.isin(material, overlay)
     shown &= (faces != np.roll(faces, 1, axis=1)).all(1)
+    shown &= _is_first(faces, shown)
     if not shown.any():
         raise CaptureError(f"{source.path}: no face is left without transparent materials")
     label = components(faces[shown], len(rest))
@@ -353,14 +373,14 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
         rest_m=rest[used],
         motion_m=np.ascontiguousarray(motion[:, used]),
         faces=again.reshape(-1, 3).astype(np.int32),
-        uv=source.uv,
+        uv=source.uv[corner],
         uv_faces=uv_faces,
         part=part,
         material=material,
         eyes=moved_eyes,
         frame=frame,
         dropped=tuple(dropped),
-        colours=source.colours[uv_faces],
+        colours=source.colours[source.faces[shown]],
     )
 
 

@@ -181,6 +181,14 @@ def sparse(rig: WildRig) -> None:
     rig.sparse = {t["POSITION"] for t in rig.primitives[0]["targets"]}
 
 
+def without_indices(rig: WildRig) -> None:
+    for primitive in rig.primitives:
+        at = rig.arrays[primitive.pop("indices")][:, 0]
+        primitive["targets"] = [dict(target) for target in primitive["targets"]]
+        for attributes in (primitive["attributes"], *primitive["targets"]):
+            attributes |= {k: rig.add(rig.arrays[v][at]) for k, v in attributes.items()}
+
+
 def glasses(rig: WildRig) -> None:
     """A lens before the face, and a tear film over an eye: both are seen through."""
     at = rig.primitives[0]["attributes"]
@@ -298,7 +306,7 @@ FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
         repeated, transformed, second_uv, quantized, tinted, named_by_targets,
-        open_by_its_node, sparse, lines_in_the_picture, glossy,
+        open_by_its_node, sparse, lines_in_the_picture, glossy, without_indices,
         like_ready_player_me, like_vroid, named_by_maya, named_by_blender, exported_by_unity,
     )
 }  # fmt: skip
