@@ -138,6 +138,11 @@ MAX_FOLDED = 0.1
 """Share of an island that may be folded over, at most; more and it gets new coordinates."""
 LEAST_AREA = 1e-5
 """Area of a triangle in the plane, of the median, below which it is a line."""
+MAX_PACKED = 500_000
+"""Triangles that are packed, all tries together; three tries are made of any (chosen: nine of the
+most detailed head that was seen, in about 2 s)."""
+MAX_ISLANDS = 2_000
+"""Of a chart (chosen: 3,000 of a texel each did not fit, which packers took 10 s to say)."""
 PADDING_TEXELS = 1
 """Empty texels between islands beyond those that bilinear lookup reads: it never mixes two."""
 
@@ -219,7 +224,7 @@ def pack(
         seen: Triangles whose seams need gutters. bool ``[F]``.
 
     Raises:
-        CaptureError: An island cannot be packed.
+        CaptureError: There are too many islands, or they cannot be packed.
     """
     # A vertex of two islands (mirrored halves on one place) is two vertices.
     joint = np.stack([uv_faces.ravel(), faces.ravel()], 1).astype(np.int64)
@@ -228,7 +233,10 @@ def pack(
     points = uv[pairs[:, 0]].astype(np.float64)
     label = components(split, len(points))[split[:, 0]]
     floor = 1e-12 + 1e-3 * np.median(np.abs(signed_areas(points, split)))
-    for name in np.unique(label):
+    names = np.unique(label)
+    if len(names) > MAX_ISLANDS:
+        raise CaptureError(f"{len(names)} islands in one chart; up to {MAX_ISLANDS} are packed")
+    for number, name in enumerate(names):
         mine = np.flatnonzero(label == name)
         used, again = np.unique(split[mine], return_inverse=True)
         local: IntArray = again.reshape(-1, 3).astype(np.int32)
@@ -237,7 +245,8 @@ def pack(
         if signed.sum() < 0:
             island[:, 0] *= -1
             signed = -signed
-        points[used] = island * np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
+        island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
+        points[used] = island + 0.1 * number  # packers slow down where many are alike in one place
     texel = np.sqrt(np.abs(signed_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
     reach = MAX_GUTTER_TEXELS * texel
     tips, gutters, far, copied = add_gutters(points, split, rest, faces, seen, reach)
@@ -256,7 +265,7 @@ def _place(points: Float64Array, faces: IntArray) -> Float64Array:
     unit = points / np.sqrt(area)  # all islands together have area 1
     best: Float64Array | None = None
     low, high = 0.25 * MAP_SIZE, 1.0 * MAP_SIZE
-    for _ in range(9):
+    for _ in range(min(max(MAX_PACKED // len(faces), 3), 9)):
         scale = 0.5 * (low + high)
         placed = _try(unit * scale, faces)
         if placed is None:

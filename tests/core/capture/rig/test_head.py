@@ -5,14 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xatlas
 
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb
 from pica_core.avatar.arkit import EYE_YAW, NUM_ARKIT
+from pica_core.capture.rig import chart
 from pica_core.capture.rig.chart import add_gutters
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.triangles import front_view, signed_areas, visibility
+from pica_core.errors import CaptureError
+from pica_core.types import FloatArray, IntArray
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -132,13 +136,43 @@ def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
     document, binary = glb_parts(toy_rig())
     for primitive in document["meshes"][0]["primitives"]:
         del primitive["attributes"]["TEXCOORD_0"]
-    path = tmp_path / "bare.glb"
-    path.write_bytes(glb_bytes(document, binary))
+    (path := tmp_path / "bare.glb").write_bytes(glb_bytes(document, binary))
 
     head = make_rig(read_rig(path))
 
     assert head.mended == len(head.mesh.faces)
     assert_no_overlap(head)
+
+
+@pytest.mark.parametrize(("step_m", "most_tries"), [(0.0, 9), (1e-4, 3)])
+def test_a_head_that_is_drawn_many_times_is_packed_as_once_or_a_few_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, toy: RigHead, step_m: float, most_tries: int
+) -> None:
+    packed, add = [], xatlas.Atlas.add_uv_mesh
+
+    def counted(atlas: xatlas.Atlas, points: FloatArray, faces: IntArray) -> None:
+        packed.append(np.unique(points[faces].reshape(len(faces), 6), axis=0))
+        assert len(packed[-1]) == len(faces)  # alike in one place, they take a long time
+        add(atlas, points, faces)
+
+    document, binary = glb_parts(toy_rig())
+    place = document["nodes"][0]
+    document["nodes"] = [place | {"translation": [k * step_m, 0, 0]} for k in range(4)]
+    document["scenes"] = [{"nodes": list(range(4))}]
+    (path := tmp_path / "many.glb").write_bytes(glb_bytes(document, binary))
+    monkeypatch.setattr(xatlas.Atlas, "add_uv_mesh", counted)
+    monkeypatch.setattr(chart, "MAX_PACKED", 9 * len(toy.chart.faces))
+
+    head = make_rig(read_rig(path))
+
+    assert len(packed) <= most_tries
+    assert len(head.mesh.faces) == len(toy.mesh.faces) * (4 if step_m else 1)
+
+
+def test_more_islands_than_a_chart_holds_are_refused_before_they_are_packed() -> None:
+    faces, rest = np.arange(6_003, dtype=np.int32).reshape(-1, 3), np.eye(3)[np.arange(6_003) % 3]
+    with pytest.raises(CaptureError, match="2001 islands in one chart; up to 2000 are packed"):
+        chart.pack(rest[:, :2], faces, faces, np.ones(2_001), rest=rest, seen=np.ones(2_001, bool))
 
 
 def test_triangles_that_are_metres_wide_are_looked_at_in_bounded_memory() -> None:
