@@ -63,7 +63,7 @@ class DrawPasses:
         self._finish_fading = self._screen("finish_head.frag", {"FADING": ""})
         for screen in (self._finish, self._finish_fading):
             set_values(screen.program, step=EDGE_STEP if smooth_edges else NO_STEP)
-        self._place = self._screen("place_head.frag")
+        self._place = self._screen("place_head.frag", {"FILLED": ""})
         self.placeholder = upload_placeholder(context, self.mesh_programs.static)
         self._queries: list[moderngl.Query] = []
 
@@ -233,6 +233,6 @@ class DrawPasses:
 
     def _screen(self, name: str, defines: Mapping[str, str] | None = None) -> moderngl.VertexArray:
         """A rectangle of the screen, drawn by a program of its own."""
-        fragment = compose(name, defines=defines or {})
-        program = build_program(self._context, compose("rect.vert"), fragment)
+        vertex, fragment = (compose(each, defines=defines or {}) for each in ("rect.vert", name))
+        program = build_program(self._context, vertex, fragment)
         return self._context.vertex_array(program, [])

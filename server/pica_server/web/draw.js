@@ -24,7 +24,7 @@ export function openRenderer(graphics, hasRoom = true) {
   const enlarge = graphics.screen("enlarge.frag");
   // Over a transparent ground there is nothing to fade into.
   const finish = graphics.screen("finish_head.frag", hasRoom ? { FADING: "" } : {});
-  const placeHead = graphics.screen("place_head.frag");
+  const placeHead = graphics.screen("place_head.frag", { FILLED: "" });
   const decoder = openDecoder(graphics);
   const smallRoom = graphics.texture("RGBA16F", 224, 160, { smooth: true });
   const smallTarget = graphics.target([smallRoom]);
