@@ -1,7 +1,7 @@
 """Record pictures with sound, in step, and look at what came out.
 
 You learn how a recording keeps its times: pictures have those at which they were drawn, sound those
-at which it left the loudspeaker, or was said; who talks adds to a `Soundtrack`, on any thread, and
+at which it left the loudspeaker, or was said; a talker adds to a `Soundtrack`, on any thread, and
 the `Recorder` takes from it what belongs to the pictures. Here a flash and a tone begin together.
 
     python examples/22_a_recording_with_sound.py [OUT]

@@ -65,8 +65,8 @@ class Publisher:
 
     Attributes:
         avatar: Whose expression encoder makes the latents.
-        mode: What becomes of the face from the next frame on, as far as its owner says; any thread
-            may set it.
+        mode: How the face is sent from the next frame on, as its owner chose; any thread may set
+            it.
         seen: The source's latest face, whether it is sent or not; None before the first.
     """
 
@@ -141,7 +141,7 @@ class Publisher:
             self._tell_mode(link)
             self._tell_trouble()
             self._send_face(link, now - begin_s, now)
-            # Who is late by more than a frame sends the face of now, not those that were missed.
+            # A sender late by more than a frame sends the present face, not those that were missed.
             # The tolerance is for a frame that ends exactly on the next one's time.
             newest = math.floor((max(loop.time(), now) - begin_s) * self.config.fps + 1e-6)
             index = max(index + 1, newest)

@@ -68,7 +68,7 @@ TEXELS_PER_PIXEL = 4
 """Side of the baked appearance against the longer side of the images: close-ups show a third of a
 head, and its face covers half of the chart."""
 FILE = "person.json"
-"""Who was rendered, in the capture of a person."""
+"""The choices of the rendered person, in a capture."""
 
 
 def _render(

@@ -232,7 +232,7 @@ class ClientSession(session.Session[messages.Joined | messages.RoomNews | Frame]
 
     def _expected_us(self, stream: int, now: float) -> int:
         """Return about what time a peer's clock shows: as long after its newest frame as ours. All
-        tracks of a peer are on one clock; of who has sent nothing yet it is taken to be ours."""
+        tracks of a peer share a clock; before its first frame, ours is assumed."""
         captured_us, received_s = self._clocks.get(self._publishers.get(stream, ""), (0, 0.0))
         return captured_us + round((now - received_s) * 1e6)
 

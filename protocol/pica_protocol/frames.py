@@ -10,8 +10,8 @@ All numbers are big-endian. One websocket message is the kind byte 2 and then on
 The header stays in the clear so that payloads may be encrypted end to end, and the relay forwards a
 frame's bytes as they came.
 
-Every frame stands alone: any of them may be dropped. Who wants less of a stream gets the frames
-whose sequence number is a multiple of 2 or of 4.
+Every frame stands alone: any of them may be dropped. A receiver that wants less of a stream gets
+the frames whose sequence number is a multiple of 2 or of 4.
 """
 
 import struct

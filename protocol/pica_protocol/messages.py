@@ -151,7 +151,7 @@ class Peer(Checked):
     metadata: Said = ()
     """What it says of itself; not to be trusted."""
     identity: Annotated[str, _if_any(limits.check_token)] = ""
-    """Who it is by the token that it came in with; empty without tokens."""
+    """The identity in the token that it joined with; empty without tokens."""
     is_name_assured: bool = False
     """Whether the name stands in that token, and is not what its owner would like to be called."""
 
@@ -328,7 +328,7 @@ class Stored(Checked):
 
 
 RoomNews = PeerJoined | PeerLeft | PeerAway | PeerUpdated | StreamMuted | Whisper
-"""What a relay says to who is in a room."""
+"""What a relay says to the members of a room."""
 Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""
 FromMember = Subscribe | Whisper | UpdateMetadata | Moderation

@@ -22,7 +22,7 @@ that a shell can forget.
 
 Media flows while JOINED. The version is agreed upon as the sub-protocol of the websocket. What may
 be received in which state, and where it leads, stands in the two tables below; all else is
-``UNEXPECTED_MESSAGE``. ``Bye`` ends every state: who sends it reads nothing more.
+``UNEXPECTED_MESSAGE``. ``Bye`` ends every state: its sender reads nothing more.
 """
 
 from abc import ABC, abstractmethod

@@ -49,7 +49,7 @@ class LimitsConfig:
     above it."""
     burst_s: Annotated[float, Range(0.1, 600)] = 15.0
     """So many seconds' worth may come at once, as after a pause of the relay or of a proxy, from a
-    client that has been there for so long; one second's worth from who has just come."""
+    client that has been there for so long; one second's worth from one that has just come."""
     joins_per_s: Annotated[float, Range(0.1, 1e9)] = 50.0
     """Joins a second of everybody together, on average; 4009 above it."""
     joins_burst: Annotated[float, Range(1, 1e9)] = 200.0

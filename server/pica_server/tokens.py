@@ -52,7 +52,7 @@ class Admission:
     """What a peer may do in the room that it joins."""
 
     identity: str = ""
-    """Who it is for sure; empty without tokens."""
+    """The identity that the token proves; empty without tokens."""
     name: str = ""
     """What they are called; empty: as they like."""
     may_publish: bool = True

@@ -179,8 +179,8 @@ class _Wanted:
 class AvatarFetcher:
     """A library whose missing avatars come from the relay; implements `AvatarStore`.
 
-    `get` and `note` may be called by any thread, and never wait. Who shows a face calls `get` again
-    and again, which is what attempts are made by.
+    `get` and `note` may be called by any thread, and never wait. Whatever shows a face calls `get`
+    again and again, and each call may start an attempt.
     """
 
     def __init__(

@@ -121,7 +121,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
 
 
 def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
-    """Who can draw the truth; OptionError if none is named, or it has another mesh."""
+    """Return the subject that draws the truth; OptionError without one, or with another mesh."""
     identity = avatar.manifest.identity
     subject: Subject
     if config.rig is not None:

@@ -76,8 +76,8 @@ class Guard:
     whispers. One for each link.
 
     Attributes:
-        status: Who is verified and who is not, and the code to read aloud, as of when we were last
-            in the room; a new object at each change, so any thread may read it.
+        status: Which peers are verified, and the code to read aloud, as of when we were last in
+            the room; a new object at each change, so any thread may read it.
     """
 
     def __init__(self, secret: RoomSecret, *, random_bytes: RandomBytes = os.urandom) -> None:

@@ -44,7 +44,7 @@ SOURCE_STEP_S = 23.7
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LocalCallConfig:
-    """Who is in the call."""
+    """The participants of the call."""
 
     peers: int = 5
     """Number of senders."""

@@ -81,7 +81,7 @@ PINNED_CHEST_M = 0.36
 """How far below the middle of a pinned head nothing of the strip may begin."""
 MAX_FREE = 0.5
 SETTLED_M = 0.002
-"""Who is nearer than this to where they should be, is there: no difference is seen."""
+"""A head nearer than this to its seat has arrived: no difference is seen."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

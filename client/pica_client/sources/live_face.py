@@ -199,8 +199,8 @@ REACH_M: Final = np.array([0.15, 0.10, 0.15])
 class Seat:
     """Where one person sits before one tracker, which says where a head is before its camera.
 
-    The seat is where the head is when it is first seen, and it follows slowly: who pulls the chair
-    nearer is in the middle again a little later. What is left is limited to what a seat allows.
+    The seat is where the head is when it is first seen, and it follows slowly: a person who moves
+    the chair is in the middle again a little later. What is left is limited to what a seat allows.
     """
 
     def __init__(self) -> None:

@@ -96,7 +96,7 @@ def _rotation_vector(matrix: Float64Array) -> FloatArray:
 
 FORMATS: Final = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}
 DEVICE_OPTIONS: Final = {"video_size": "640x480", "framerate": "30"}
-"""What nearly every camera can do; who cannot is asked without."""
+"""What nearly every camera can do; others are opened without options."""
 MAX_PIXELS: Final = 4096 * 2304
 """A larger picture is not decoded."""
 USUAL_STEP_S, LONGEST_STEP_S = 1 / 30, 10.0

@@ -200,8 +200,8 @@ class AvatarPresenter:
         wanted: ViewState | None = None,
         free: FreeShares | None = None,
     ) -> CallScene:
-        """Who is here, where each sits, and from where they are seen, on a picture of this size;
-        avatars are made ready."""
+        """Return the participants, their seats and the camera for a picture of this size; prepare
+        their avatars."""
         wanted = wanted or ViewState()
         since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
         self._image_s = min(since_s, MAX_IMAGE_S)
@@ -358,7 +358,7 @@ class AvatarPresenter:
         return {peer_id: entry.num_decoded for peer_id, entry in self._peers.items()}
 
     def _is_waiting(self, entry: _Peer, now: float) -> bool:
-        """Whether a peer gives way to who speaks."""
+        """Whether a peer gives way to the speaker."""
         return self._is_short and not entry.is_speaking(now)
 
     def _settled(

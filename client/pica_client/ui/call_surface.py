@@ -3,7 +3,7 @@
 Keeps what lasts longer than a frame: how the call stands, twice a second, and notices.
 
 A name stands on the chest of its owner, no wider than the shoulders and never over a face, neither
-the owner's nor another's. Who cannot be seen has no name on the picture.
+the owner's nor another's. A participant who cannot be seen has no name on the picture.
 """
 
 import math
@@ -60,7 +60,7 @@ BELOW_CHIN_M = 0.03
 GAP_SHARE = 0.1
 """Part of a name's height that stays free around it."""
 HIDDEN_SHARE = 0.6
-"""Who is hidden by this part has no name: it would stand on the person before them."""
+"""A participant hidden by this part has no name: it would stand on the person before them."""
 _POINTS = np.array(
     [
         *((x, y, FACE_LOW_M[2]) for x in (-0.085, 0.085) for y in (FACE_LOW_M[1], FACE_HIGH_M[1])),
@@ -172,8 +172,8 @@ def place_labels(
         least_px: Columns and rows that the shortest name needs.
 
     Returns:
-        Left, top, right and bottom in pixels, y down, in the order of the heads. None for who is
-        not to be seen, or where there is no room beside the faces.
+        Left, top, right and bottom in pixels, y down, in the order of the heads. None for
+        heads that cannot be seen, or where there is no room beside the faces.
     """
     seen = [_look(head, camera, least_px) for head in heads]
     found = [each for each in seen if each is not None]

@@ -96,8 +96,8 @@ class ViewOptions:
     join: Annotated[JoinOptions, Parameter(name="*")] = field(default_factory=JoinOptions)
     send: str | None = None
     """Send your own face as well: a source as in pica send; none only watches, the default with
-    --url. Who joins by the form is seen, by performance:talk if nothing else is named here. M mutes
-    the face."""
+    --url. A participant who joins by the form sends performance:talk if nothing else is named
+    here. M mutes the face."""
     own_avatar: str | None = None
     """Avatar of your own face: a shipped one by its name, or a .pica file; by default a shipped
     one that goes by the name."""

@@ -25,7 +25,7 @@ class TokenOptions:
     room: str = "lobby"
     """The room that the token opens; with --admin, * for all rooms."""
     identity: str = ""
-    """Who it is for: 1 to 64 of A-Z a-z 0-9 _ . - ; of two with one identity the newer stays."""
+    """The owner's identity: 1 to 64 of A-Z a-z 0-9 _ . - ; of two with it the newer one stays."""
     name: str = ""
     """What they are called in the room; empty: as they like."""
     lasts_s: float = 3600.0

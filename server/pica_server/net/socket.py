@@ -115,8 +115,8 @@ class RelaySocket(ServerConnection):
     Attributes:
         silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
             itself in there.
-        proxies: Whose word counts for who is behind them.
-        address: Whose it is, see `proxies.address_group`.
+        proxies: Addresses whose forwarded headers are trusted.
+        address: The client's, see `proxies.address_group`.
         is_local: Whether it comes from this machine, not through a proxy, and asks for this machine
             by a name that no stranger's name server can have made.
         is_misnamed: Whether it asks for another host than this machine, and no proxy of ours does.
@@ -251,7 +251,7 @@ class RelaySocket(ServerConnection):
             self._tls_task.cancel()
 
     def note_request(self, request: Request) -> None:
-        """Take note of what is asked for, and of who is behind a proxy."""
+        """Note what is requested, and the address of a client behind a proxy."""
         self.silent.discard(self)
         peer, headers = self.direct_from, request.headers
         is_ours = is_in(peer, self.proxies)

@@ -118,7 +118,7 @@ class Connections:
             outbox=Outbox(self.stats.dropped),
             address=address,
             # What piled up while the relay or the way to it stood still was sent at a good rate:
-            # it may come at once from who has been here for so long. A newcomer has saved nothing.
+            # a connection this old may send it at once. A newcomer has saved nothing.
             bytes_in=TokenBucket(rate, rate * limits.burst_s, now, level=rate),
             told=TokenBucket(TOLD_PER_S, TOLD_AT_ONCE, now),
             peer_id=f"p{serial}",
@@ -204,7 +204,7 @@ class Connections:
                 self._put_control(other, data, now)
 
     def send(self, connection: Connection, message: Message, now: float) -> None:
-        """Queue a control message; who has let too many pile up is closed instead."""
+        """Queue a control message; close a connection on which too many have piled up."""
         self._put_control(connection, encode_message(message), now)
 
     def flush(self, connection: Connection, now: float) -> None:
@@ -272,7 +272,7 @@ class Connections:
                     outbox.sort()
 
     def subscribe(self, member: Connection, number: int, every: int) -> None:
-        """Follow a receiver's subscription; who begins to want a stream gets its newest frame."""
+        """Follow a receiver's subscription; a new subscriber gets the newest frame."""
         assert member.room is not None
         stream = member.room.streams.get(number)
         if stream is None:

@@ -117,7 +117,7 @@ class Hub:
             self._handle(connection, event, now)
 
     def drain(self, now: float) -> None:
-        """Begin to send everybody away: who has no room at once, the rooms one after the other.
+        """Begin to close all connections: those without a room at once, then room by room.
 
         All that waits for them goes out before their goodbye. No peer is admitted any more.
         """

@@ -86,7 +86,7 @@ class Membership:
             raise RefusalError(
                 f"{most} connections from one address", CloseCode.TOO_MANY, "address"
             )
-        # First of all: who has no token must not use up the joins of those who have one.
+        # First of all: clients without a token must not use up the joins of those with one.
         admission = self._admit(join)
         place = self._place_of(join, admission.identity)
         payer = admission.identity or (connection.address if place is None else place.peer_id)
@@ -312,9 +312,9 @@ class Membership:
     def _replace(
         self, room: Room, connection: Connection, join: Join, identity: str, now: float
     ) -> None:
-        """Close who is here under an identity that joins again: the newer one wins. Who has none is
-        known by name and tracks, as one that has crashed and restarted, and takes the place of an
-        absent peer alone."""
+        """Close the member of an identity that joins again: the newer one wins. A client without an
+        identity is known by name and tracks, as one that has crashed and restarted, and takes the
+        place of an absent peer alone."""
         former = room.find(identity)
         if not identity and not join.resume:
             absent = (m for m in room.away if m.address == connection.address)

@@ -69,7 +69,7 @@ class Stream:
 
     number: int
     publisher: str
-    """Who sends it: a peer id."""
+    """The id of the peer that sends it."""
     deadline_s: float | None = None
     """How long its frames may wait for a receiver if it is ordered; None: it is not."""
     is_muted: bool = False
@@ -77,8 +77,8 @@ class Stream:
     newest: QueuedFrame | None = None
     """The newest frame, for those who come later; None of an ordered stream."""
     receivers: list[list[Connection] | None] | None = None
-    """Who gets its frames, by sequence modulo `EVERY_MOST`, as far as that is known: looked up for
-    every frame, changed rarely."""
+    """The receivers of its frames, by sequence modulo `EVERY_MOST`, as far as that is known: looked
+    up for every frame, changed rarely."""
 
 
 class Room:

@@ -256,7 +256,7 @@ class Capture:
 
     @property
     def identity(self) -> str:
-        """Who was captured; the directory's name where nothing says it."""
+        """Name of the captured person; the directory's name where nothing says it."""
         return str(self.info.get("head", self.path.name))
 
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
