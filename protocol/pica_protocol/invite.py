@@ -6,7 +6,7 @@
 
 A browser finds the relay's page there, and the viewer takes the same link. The last part of the
 path is the room. A token stands behind the #, which no server that a link passes through gets to
-see; whoever has such a link can join.
+see; anyone with such a link can join.
 """
 
 from dataclasses import dataclass, field
