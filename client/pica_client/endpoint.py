@@ -20,6 +20,7 @@ from pica_client.publish import Outgoing, Publisher
 from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES, voice_of
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
+from pica_client.voice.source import VoicePublisher
 from pica_protocol.frames import Frame
 from pica_protocol.invite import Invite, make_link
 from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Subscribe, Track
@@ -87,10 +88,10 @@ class Endpoint:
         if self.own.face is not None:
             work.append(self._publish(self.own.face))
         if self.own.voice is not None:
-            work.append(self.own.voice.pace(self.link, self._stopping))
+            work.append(self._publish(self.own.voice))
         return work
 
-    async def _publish(self, publisher: Publisher) -> None:
+    async def _publish(self, publisher: Publisher | VoicePublisher) -> None:
         await publisher.pace(self.link, self._stopping)
         self._leave()
 

@@ -18,7 +18,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.sources import Source, Tracker, open_source
-from pica_client.sources.source import Unseen
+from pica_client.sources.source import Present, Unseen
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link, sleep_until
@@ -96,7 +96,7 @@ class Publisher:
     def listen_to(self, voice: VoicePublisher | None) -> None:
         """Let the owner's voice move the mouth while the tracker sees no face."""
         if voice is not None:
-            spoken = self._spoken = SpokenFace()
+            spoken = self._spoken = SpokenFace(stays=isinstance(self.source, Present))
             voice.listeners.append(
                 lambda pcm, captured_us: spoken.hear(pcm, captured_us / 1e6 - self._begin_s)
             )

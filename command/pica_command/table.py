@@ -79,6 +79,7 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "demo": Command("pica_client.cli.demo:demo", ("view", "video")),
         "view": Command("pica_client.cli.view:view", ("view",), joins=True),
         "send": Command("pica_client.cli.send:send", ("send",), joins=True),
+        "agent": Command("pica_client.cli.send:agent", ("send",), joins=True),
         "track": Command("pica_client.cli.track:track", ("send",)),
         "calibrate": Command("pica_client.cli.track:calibrate", ("send",)),
         "webcam setup": Command("pica_client.cli.machine:webcam_setup", ("webcam",)),

@@ -1,18 +1,23 @@
-"""`pica send`: one face from a source into a room."""
+"""`pica send`: one face from a source into a room; `pica agent`: that of a program."""
 
 import asyncio
+import sys
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from io import FileIO
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.endpoint import Sender
+from pica_client.errors import SourceError
 from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
 from pica_client.ui.options import JoinOptions, check_voice
-from pica_client.voice.source import VoicePublisher, open_voice
+from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.pcm import PcmSource
+from pica_client.voice.source import VoicePublisher, VoiceSource, open_voice
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,8 +50,42 @@ def send(options: SendOptions) -> dict[str, Any]:
     returns.
     """
     check_voice(options.source, options.voice)
+    return _send(options, open_voice(options.voice, cleans=options.clean))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AgentOptions:
+    """Options of `pica agent`."""
+
+    join: Annotated[JoinOptions, Parameter(name="*")] = field(default_factory=JoinOptions)
+    avatar: str | None = None
+    """Name of a shipped avatar, or a .pica file; by default a shipped one that goes by the name."""
+    pcm: Annotated[str, Parameter(allow_leading_hyphen=True)] = "-"
+    """What it says: a file or pipe of signed 16-bit little-endian samples, one channel; - is the
+    standard input. At its end the agent leaves."""
+    rate: int = RATE_HZ
+    """Samples a second, a multiple of 50 from 8000 to 96,000."""
+
+
+def agent(options: AgentOptions) -> dict[str, Any]:
+    """Give a program a voice and a face.
+
+    The voice moves the mouth; beside it the face looks around and blinks, as long as the program
+    runs.
+    """
+    if options.pcm == "-" and sys.stdin.isatty():
+        raise SourceError("pcm is -, and the standard input is a terminal: pipe 16-bit PCM into it")
+    try:
+        # Unbuffered, for nothing may wait for a reader when the agent is ended.
+        file = FileIO(0 if options.pcm == "-" else options.pcm)
+    except OSError as error:
+        raise SourceError(f"pcm {options.pcm} cannot be read: {error.strerror}") from error
+    sent = SendOptions(join=options.join, avatar=options.avatar, source="agent")
+    return _send(sent, PcmSource(file, options.rate))
+
+
+def _send(options: SendOptions, voice: VoiceSource | None) -> dict[str, Any]:
     link = options.join.link(seconds=options.sender.seconds)
-    voice = open_voice(options.voice, cleans=options.clean)
     with closing(AvatarLibrary()) as library:
         own = open_face(
             options.source,

@@ -2,7 +2,7 @@
 
 csv:FILE[@SECONDS]                    a recording of Live Link Face or `pica track --record`
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
-voice                                 none: the face is moved by the voice alone
+voice, agent                          the voice alone moves the face; a silent agent keeps it
 livelink, vmc, webcam, ...            trackers; see `open_live`
 """
 
@@ -15,20 +15,17 @@ import numpy as np
 
 from pica_client.errors import SourceError
 from pica_client.sources.calibration import Calibration, load_calibration
-from pica_client.sources.datagrams import (
-    LIVELINK_PORT,
-    REQUESTS,
-    VMC_PORT,
-)
+from pica_client.sources.datagrams import LIVELINK_PORT, REQUESTS, VMC_PORT
 from pica_client.sources.live_face import VALUE_LIMIT, rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.source import PERFORMANCES, Recording, Source, Unseen, make_performance
-from pica_client.sources.tracker import (
-    ANY_HOST,
-    LOOPBACK,
-    SampleTap,
-    Tracker,
-    UdpTracker,
+from pica_client.sources.source import (
+    PERFORMANCES,
+    Present,
+    Recording,
+    Source,
+    Unseen,
+    make_performance,
 )
+from pica_client.sources.tracker import ANY_HOST, LOOPBACK, SampleTap, Tracker, UdpTracker
 from pica_client.system import say
 from pica_core.errors import CaptureError, FaceNetworksError
 from pica_core.livelink import DAY_S, TIMECODE_FPS, read_livelink_csv
@@ -100,8 +97,8 @@ def open_source(text: str, person: str = "") -> Source:
     Raises:
         SourceError: The text is not of a known form, or what it names cannot be read.
     """
-    if text == "voice":
-        return Unseen()
+    if text in ("voice", "agent"):
+        return Unseen() if text == "voice" else Present()
     kind, rest = split_source(text)
     if kind in TRACKER_KINDS:
         return open_live(kind, rest, load_calibration(person, kind) if person else None)

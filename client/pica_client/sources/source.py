@@ -59,6 +59,10 @@ class Unseen:
         )
 
 
+class Present(Unseen):
+    """One whose face is there even while its voice is silent."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recording:
     """Samples of a face that loop for ever: the common end of files and of generated performances.

@@ -250,8 +250,7 @@ class AvatarPresenter:
             )
         camera = views.plan_camera(plan, wanted.orbit, width, height, limits)
         room = Room(
-            seats_m=plan.places_m,
-            speaking=tuple(entry.glow(now, step) for entry in entries),
+            seats_m=plan.places_m, speaking=tuple(entry.glow(now, step) for entry in entries)
         )
         return CallScene(
             now=now,

@@ -150,9 +150,13 @@ class SpokenFace:
 
     The mouth is the voice's; eyes, brows and head are those of a listener. The seam is
     blended. While the tracker sees the face, sound is kept and the network rests.
+
+    Args:
+        stays: Whether there is a face however long there is silence.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, stays: bool = False) -> None:
+        self._silent_after_s = np.inf if stays else SILENT_AFTER_S
         self._idle = make_performance("listen")
         self._net = MouthFromVoice()
         self._kept: deque[tuple[FloatArray, float]] = deque()
@@ -185,7 +189,7 @@ class SpokenFace:
             The source's face, or one that speaks, or something between in the seam; none while
             no face is seen and no voice heard.
         """
-        fills = not frame.has_face and time_s - self._spoke_s < SILENT_AFTER_S
+        fills = not frame.has_face and time_s - self._spoke_s <= self._silent_after_s
         step = min(max(time_s - self._weight_s, 0.0), SEAM_S) / SEAM_S
         self._weight = min(max(self._weight + (step if fills else -step), 0.0), 1.0)
         self._weight_s = time_s

@@ -125,5 +125,15 @@ def test_who_is_silent_and_unseen_for_long_has_no_face() -> None:
     assert not frames[-1].has_face
 
 
+def test_a_program_has_a_face_before_it_speaks_that_blinks_and_looks_around() -> None:
+    face = SpokenFace(stays=True)
+    frames = [face.fill(Unseen().frame_at(t / 30), t / 30) for t in range(300)]
+    shapes = np.array([frame.arkit for frame in frames[10:]])
+    assert all(frame.has_face for frame in frames[1:])
+    assert shapes[:, ARKIT_INDEX["eyeBlinkLeft"]].max() > 0.9
+    assert np.ptp(shapes[:, ARKIT_INDEX["eyeLookInLeft"]]) > 0.1
+    assert not shapes[:, MOUTH].any()
+
+
 def test_nobody_is_filled_in_for_before_they_have_spoken() -> None:
     assert not play(Unseen(), 0.5, talk_until_s=0.0)[-1].has_face
