@@ -33,7 +33,7 @@ class BadInputError(Exception):
 def greet(options: GreetOptions) -> dict[str, Any]:
     """Greet somebody."""
     if options.name == "nobody":
-        raise BadInputError("name is 'nobody';\n   somebody is needed")
+        raise BadInputError("name\x1bis 'nobody';\n   somebody is needed")
     if options.name == "crash":
         raise RuntimeError("a bug")
     wish, _, module = options.name.partition("-")
@@ -85,7 +85,7 @@ def test_half_a_command_ends_with_2_and_lists_its_family(
 @pytest.mark.parametrize(
     ("words", "kind", "code", "message"),
     [
-        ("greet --name nobody", "bad_input", 2, "name is 'nobody'; somebody is needed"),
+        ("greet --name nobody", "bad_input", 2, "name\x1bis 'nobody'; somebody is needed"),
         ("greet --name missing", "file_not_found", 2, "No such file or directory: 'a.pica'"),
         ("greet --name needs-torch", "missing_extra", 2, install_line("train")),
         ("greet --name needs-numpy.linalg", "missing_extra", 2, install_line("send")),
@@ -115,7 +115,7 @@ def test_an_error_is_one_line_with_json_one_object_and_with_debug_a_traceback(
     if kind == "bug":
         assert "RuntimeError: a bug" in shown.err
     else:
-        assert shown.err == f"{error['command']}: {error['message']}\n"
+        assert shown.err == f"{error['command']}: {error['message']}\n".replace("\x1b", " ")
     assert run(*words.split(), "--debug") == code
     assert "Traceback" in capsys.readouterr().err
 

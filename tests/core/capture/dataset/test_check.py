@@ -77,21 +77,18 @@ def replace(old: str, new: str) -> Callable[[Path], None]:
     return work
 
 
+def image(mode: str, width: int, kind: str = "PNG") -> Callable[[Path], None]:
+    return lambda path: Image.new(mode, (width, 64)).save(path, kind)
+
+
 @pytest.mark.parametrize(
     ("file", "damage", "what"),
     [
         ("images/{segment}/left/{name}.png", Path.unlink, "the file is missing"),
         ("images/{segment}/left/{name}.png", lambda path: cut(path, 900), "not a complete image"),
-        (
-            "images/{segment}/front/{name}.png",
-            lambda path: Image.new("RGB", (32, 64)).save(path),
-            "the image is 32x64, 64x64 is needed",
-        ),
-        (
-            "depth/{segment}/left/{name}.png",
-            lambda path: Image.new("L", (64, 64), 7).save(path),
-            "a 16-bit image is needed",
-        ),
+        ("images/{segment}/left/{name}.png", image("RGB", 64, "EPS"), "cannot identify"),
+        ("images/{segment}/front/{name}.png", image("RGB", 32), "is 32x64, 64x64 is needed"),
+        ("depth/{segment}/left/{name}.png", image("L", 64), "a 16-bit image is needed"),
         ("depth/{segment}/left/{name}.png", Path.unlink, "the file is missing"),
         ("tracked_mesh/{segment}/{name}.bin", Path.unlink, "No such file"),
         ("tracked_mesh/{segment}/{name}.bin", set_nan, "not all finite"),
