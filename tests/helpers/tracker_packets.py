@@ -71,12 +71,12 @@ def vmc(
     seconds: float | None = None,
     bones: Mapping[str, tuple[float, float, float, float]] | None = None,
 ) -> bytes:
-    """A bundle of VMC: one sample that holds."""
-    messages = [] if seconds is None else [osc("/VMC/Ext/T", float(seconds))]
+    """A bundle of VMC: one sample that holds; whole numbers go as OSC's integers."""
+    messages = [] if seconds is None else [osc("/VMC/Ext/T", seconds)]
     for bone, (x, y, z, w) in (bones or {}).items():
         numbers = (0.0, 0.0, 0.0, x, y, z, w)
-        messages.append(osc("/VMC/Ext/Bone/Pos", bone, *map(float, numbers)))
-    messages += [osc("/VMC/Ext/Blend/Val", name, float(value)) for name, value in values.items()]
+        messages.append(osc("/VMC/Ext/Bone/Pos", bone, *numbers))
+    messages += [osc("/VMC/Ext/Blend/Val", name, value) for name, value in values.items()]
     return osc_bundle([*messages, osc("/VMC/Ext/Blend/Apply")])
 
 

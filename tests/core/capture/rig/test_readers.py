@@ -118,7 +118,12 @@ def test_a_bad_table_is_refused(tmp_path: Path, table: str, words: str) -> None:
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (100.0, "cm"), (1000.0, "mm")])
 @pytest.mark.parametrize("side", [1, -1])
 def test_unit_and_heading_are_found(tmp_path: Path, scale: float, unit: str, side: int) -> None:
-    rig = toy_rig()
+    rig = toy_rig()  # at a desk
+    rig.quads["desk"] = len(rig.uv) + np.arange(4)[None]
+    desk = [[-0.5, -0.2, 0.9], [0.5, -0.2, 0.9], [0.5, -0.2, 0.3], [-0.5, -0.2, 0.3]]
+    rig.positions = np.concatenate([rig.positions, desk])
+    rig.uv = np.concatenate([rig.uv, 3 + rig.uv[:4]])
+    rig.shapes = {k: np.concatenate([delta, np.zeros((4, 3))]) for k, delta in rig.shapes.items()}
     turn = scale * np.array([side, 1, side])
     rig.positions = rig.positions * turn
     rig.shapes = {name: delta * turn for name, delta in rig.shapes.items()}
@@ -259,9 +264,7 @@ def test_a_file_of_another_format_is_refused_by_the_formats_that_are_read(
         ("material", None, "no shape with a known name moves what is drawn"),
     ],
 )
-def test_a_rig_that_cannot_be_is_refused(
-    tmp_path: Path, what: str, value: float, words: str
-) -> None:
+def test_an_impossible_rig_is_refused(tmp_path: Path, what: str, value: float, words: str) -> None:
     rig = toy_rig()
     match what:
         case "shape":
