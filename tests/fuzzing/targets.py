@@ -20,13 +20,7 @@ from typing import Final
 import numpy as np
 from hypothesis import strategies as st
 
-from fuzzing.damage import (
-    MEDIA,
-    damaged_avatar,
-    damaged_bytes,
-    damaged_control,
-    damaged_glb,
-)
+from fuzzing.damage import MEDIA, damaged_avatar, damaged_bytes, damaged_control, damaged_glb
 from golden.wire_samples import GOLDEN
 from helpers import tracker_packets
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig

@@ -16,6 +16,7 @@ import pytest
 
 from helpers.certificates import write_certificate
 from pica_protocol.frames import Frame
+from pica_server.tokens import new_key_line
 from simnet.peers import peer_in_room
 
 pytestmark = pytest.mark.call
@@ -158,15 +159,21 @@ def test_what_cannot_work_ends_in_one_line_and_exit_code_two(
     assert complaint in line
 
 
-def test_an_open_relay_says_loudly_that_it_is_open() -> None:
-    process = start("--port", "0", "--host", "0.0.0.0", "--insecure")
-    try:
-        assert process.stderr is not None
-        process.stderr.readline()
-        assert process.stderr.readline().startswith("INSECURE: ")
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=30)
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [("--host 0.0.0.0 --insecure", "INSECURE: "), ("--keys {keys}", "anybody on this machine can")],
+)
+def test_an_open_relay_says_loudly_that_it_is_open(
+    options: str, words: str, tmp_path: Path
+) -> None:
+    (keys := tmp_path / "keys").write_text(new_key_line())
+    keys.chmod(0o644)
+    process = start("--port", "0", *options.format(keys=keys).split())
+    assert process.stderr is not None
+    process.stderr.readline()
+    process.send_signal(signal.SIGTERM)
+    assert process.stderr.read().startswith(words)
+    process.communicate(timeout=30)
     assert process.returncode == 0
 
 

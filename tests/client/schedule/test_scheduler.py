@@ -14,12 +14,7 @@ from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.request import DecodedMaps, DecodeRequest, DecodeResult
 from pica_client.schedule.cost_model import CostModel
 from pica_client.schedule.head import Choice, Head
-from pica_client.schedule.scheduler import (
-    DETAIL_PX,
-    MAX_AGE_S,
-    Plan,
-    Scheduler,
-)
+from pica_client.schedule.scheduler import DETAIL_PX, MAX_AGE_S, Plan, Scheduler
 from pica_client.schedule.visibility import NOTHING, Sight
 from pica_core.types import LATENT_SHAPE
 

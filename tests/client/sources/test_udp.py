@@ -15,11 +15,7 @@ from helpers import tracker_packets
 from pica_client.cli.track import Recorder
 from pica_client.errors import SourceError
 from pica_client.sources import open_source
-from pica_client.sources.calibration import (
-    calibrate,
-    load_calibration,
-    save_calibration,
-)
+from pica_client.sources.calibration import calibrate, load_calibration, save_calibration
 from pica_client.sources.live_face import TrackerSample
 from pica_client.sources.registry import open_live
 from pica_client.sources.tracker import SampleTap, UdpTracker

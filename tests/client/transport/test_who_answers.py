@@ -1,23 +1,18 @@
 """What is said of an address where something answers that is no relay."""
 
 import asyncio
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
 
+from pica_client.avatars.fetch import download
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
 from pica_client.transport.connect import LinkConfig, open_websocket, proxy_of
 from pica_client.transport.link import Link
 
 pytestmark = pytest.mark.call
-
-
-async def said_of(url: str) -> str:
-    """What a link tells its user of a failed attempt."""
-    with pytest.raises(RelayUnreachableError) as caught:
-        await open_websocket(url)
-    return str(caught.value)
 
 
 @asynccontextmanager
@@ -47,7 +42,8 @@ async def answering(answer: bytes) -> AsyncIterator[tuple[int, list[bytes]]]:
 @pytest.mark.asyncio
 async def test_a_stranger_is_quoted(answer: bytes, scheme: str, told: str) -> None:
     async with answering(answer) as (port, _):
-        assert told in await said_of(f"{scheme}://127.0.0.1:{port}")
+        with pytest.raises(RelayUnreachableError, match=re.escape(told)):
+            await open_websocket(f"{scheme}://127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("target", ["/admin", "ws://localhost:{port}/", "https://example.org/"])
@@ -77,7 +73,8 @@ async def test_an_address_or_a_proxy_that_cannot_be_is_named(
         await Link(LinkConfig(url=url)).run()
 
 
-def test_call_and_avatar_files_take_the_same_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.asyncio
+async def test_call_and_avatar_files_take_the_same_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("http_proxy", "https_proxy", "all_proxy", "no_proxy"):
         monkeypatch.delenv(name, raising=False)
         monkeypatch.delenv(name.upper(), raising=False)
@@ -89,3 +86,11 @@ def test_call_and_avatar_files_take_the_same_proxy(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("no_proxy", "inside.example")
     assert proxy_of("wss://relay.example") == "http://127.0.0.1:3128"
     assert proxy_of("wss://inside.example") is None
+    async with answering(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n") as (
+        port,
+        requests,
+    ):
+        monkeypatch.setenv("https_proxy", f"http://127.0.0.1:{port}")
+        with pytest.raises(RelayUnreachableError, match="does not have it yet"):
+            await asyncio.to_thread(download, "ws://relay.example:8765", "ab" * 32)
+    assert requests[0].startswith(b"GET http://relay.example:8765/avatars/abab")
