@@ -175,14 +175,14 @@ def giver_of(
 
 
 def avatar_by_name(name: str, avatars: Sequence[str]) -> str:
-    """The default avatar of a name: always the same for one name, and for two names seldom
-    the same.
+    """The default avatar of a name: the one that is called so, else one that is always the same for
+    the name, and seldom that of another name.
 
     Raises:
         OptionError: There are none.
     """
     if not avatars:
         raise OptionError("no avatar ships with this package; name one with --avatar FILE")
-    text = SALT + unicodedata.normalize("NFC", name).casefold().strip()
-    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8])
-    return avatars[number % len(avatars)]
+    text = unicodedata.normalize("NFC", name).casefold().strip()
+    number = int.from_bytes(hashlib.sha256((SALT + text).encode()).digest()[:8])
+    return text if text in avatars else avatars[number % len(avatars)]

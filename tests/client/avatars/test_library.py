@@ -44,6 +44,7 @@ def test_the_people_of_the_examples_look_different_though_nobody_chose() -> None
 def test_everybody_looks_the_same_in_each_call_however_the_name_is_typed() -> None:
     for name, alike in (("Ada", " ada "), ("José", "Jose\u0301")):
         assert avatar_by_name(name, SHIPPED) == avatar_by_name(alike, SHIPPED)
+    assert [avatar_by_name(name.title(), SHIPPED) for name in SHIPPED] == list(SHIPPED)
 
 
 @pytest.mark.parametrize(
