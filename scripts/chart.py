@@ -258,6 +258,25 @@ def chart_drive() -> None:
     fill_in("drive", table(rows, columns), source_line(lines[-1]))
 
 
+def chart_codec() -> None:
+    """Draw the error of a driven face against the rate on the wire: qualities along a curve, a
+    curve for each level of detail."""
+    lines = read_lines("codec")
+    figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.0))
+    curves: dict[tuple[str, int], list[Row]] = defaultdict(list)
+    for row in (row for line in lines for row in line["result"]["rows"]):
+        curves[row["source"], row["level"]].append(row)
+    for axis, source in zip(axes, dict.fromkeys(source for source, _ in curves), strict=True):
+        for level, colour in zip((64, 128, 256), COLOURS, strict=False):
+            rows = curves[source, level]
+            rates, errors = ([row[key] for row in rows] for key in ("wire_bps", "mse"))
+            axis.plot([rate / 1000 for rate in rates], errors, "-o", color=colour, label=level)
+        axis.set(title=source.partition(":")[2], xlabel="kbit/s on the wire", ylim=0)
+    axes[0].set_ylabel("MSE against the person, 0–255")
+    axes[1].legend(title="level", fontsize=8)
+    save(figure, "codec", lines[-1])
+
+
 def chart_gpu() -> None:
     """Fill in what decoding on the CPU and in shaders takes beside drawing by a GPU."""
     line = read_lines("gpu")[-1]
