@@ -93,7 +93,7 @@ class PixelCodecAvatar(interface.AvatarModel):
 
     def shade(self, appearance: Tensor, surface: interface.Surface) -> Tensor:
         """Colours by the pixel decoder, from expression maps."""
-        codes = sample_map(appearance, surface.uv).flatten(0, 1)
+        codes = sample_map(appearance, surface.uv).permute(2, 0, 1).flatten(1).T
         xyz_m, uv = surface.xyz_m.detach().flatten(0, 1), surface.uv.flatten(0, 1)
         colours: Tensor = self.pixel_decoder(codes, xyz_m, uv)
         return colours.view(surface.xyz_m.shape)

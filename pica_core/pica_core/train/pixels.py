@@ -72,15 +72,16 @@ def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor
     rounds otherwise, draws a pixel of one now and then: it gets the triangle's middle. Corners that
     are no numbers get the same weights, for torch's lookups crash at NaN.
     """
-    depths = corners[:, :, 2]
-    x, y = (corners[:, :, :2] - depths[:, :, None] * rays[:, None, :2]).unbind(2)
-    volumes = x.roll(-1, 1) * y.roll(-2, 1) - x.roll(-2, 1) * y.roll(-1, 1)
-    total = volumes.sum(1)
+    # Coordinates by corner as rows of P: half of the time of P small matrices, on a CPU.
+    x, y, depths = corners.permute(2, 1, 0).contiguous()
+    x, y = x - depths * rays[:, 0], y - depths * rays[:, 1]
+    turns = ((1, 2), (2, 0), (0, 1))
+    volumes = torch.stack([x[i] * y[j] - x[j] * y[i] for i, j in turns])
+    total = volumes.sum(0)
     # Within a triangle volumes have one sign; on its border rounding may turn a small one.
-    is_sound = total.detach().abs() > EDGE_ON * volumes.detach().abs().sum(1)
-    total = torch.where(is_sound, total, 1.0)
-    weights = torch.where(is_sound[:, None], volumes / total[:, None], 1 / 3)
-    return weights, (weights * depths).sum(1)
+    is_sound = total.detach().abs() > EDGE_ON * volumes.detach().abs().sum(0)
+    weights = torch.where(is_sound, volumes / torch.where(is_sound, total, 1.0), 1 / 3)
+    return weights.T, (weights * depths).sum(0)
 
 
 class DrawnPixels(NamedTuple):
