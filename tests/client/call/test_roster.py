@@ -6,15 +6,7 @@ from hypothesis import strategies as st
 
 from helpers import strategies
 from pica_client.call.roster import LEFT_IS_NEWS_AFTER_S, PLACE_IS_KEPT_S, Roster, name_warnings
-from pica_protocol.messages import (
-    Joined,
-    Peer,
-    PeerAway,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    Track,
-)
+from pica_protocol.messages import Joined, Peer, PeerAway, PeerJoined, PeerLeft, PeerUpdated, Track
 from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit

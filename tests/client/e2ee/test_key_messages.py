@@ -13,15 +13,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from pica_client.e2ee.frames import derive_key, open_, pad, seal
-from pica_client.e2ee.peer_keys import (
-    KeyMessage,
-    agree,
-    decode,
-    describe,
-    encode,
-    room_key,
-    unwrap,
-)
+from pica_client.e2ee.peer_keys import KeyMessage, agree, decode, describe, encode, room_key, unwrap
 from pica_client.e2ee.secret import RoomSecret, SealStatus
 from pica_client.errors import SealError
 from pica_protocol.frames import Frame, clear_header

@@ -10,14 +10,7 @@ from pica_client.decode.request import DecodedMaps
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement
-from pica_core.avatar.bust import (
-    CHIN_M,
-    LOWEST_M,
-    WHOLE_M,
-    bust_of,
-    fade_heights_m,
-    seen_faces,
-)
+from pica_core.avatar.bust import CHIN_M, LOWEST_M, WHOLE_M, bust_of, fade_heights_m, seen_faces
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.camera import Camera, look_at

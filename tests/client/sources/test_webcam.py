@@ -23,14 +23,7 @@ from pica_client.sources.live_face import TrackerSample, rotation_vector_from_ya
 from pica_client.sources.registry import open_source
 from pica_client.sources.webcam import _HEAD as HEAD
 from pica_client.sources.webcam import _INDICES as INDICES
-from pica_client.sources.webcam import (
-    UNIT_M,
-    FaceFinder,
-    Webcam,
-    head_pose,
-    open_camera,
-    pictures,
-)
+from pica_client.sources.webcam import UNIT_M, FaceFinder, Webcam, head_pose, open_camera, pictures
 from pica_core import face_networks as model
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.errors import FaceNetworksError
