@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -22,8 +22,11 @@ from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.subject import RigSubject, Subject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
-from pica_core.face_networks import load_networks
+from pica_core.face_networks import FaceNetworks, load_networks
 from pica_core.reference import count_parameters
+
+if TYPE_CHECKING:
+    from pica_core.capture.me.face import OwnHead
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -230,6 +233,10 @@ class MeChoices(LookChoices):
 
     scan: Path | None = None
     """A scan of the head: a .glb, .gltf, .obj or .ply file with its texture."""
+    photos: Path | None = None
+    """A folder of photos of the person, about twelve: JPEG, PNG, WebP or TIFF."""
+    video: Path | None = None
+    """A film of the person who turns the head, 2 to 120 seconds."""
     texture: Path | None = None
     """An image to use instead of the scan's own."""
     yes: bool = False
@@ -237,7 +244,7 @@ class MeChoices(LookChoices):
 
 
 AGREES = "Is this you, or does the person agree that an avatar is made of them? [y/N] "
-MADE_OF = "made_of.json"
+MADE_OF, REPORT = "made_of.json", "report.html"
 """What a head was made of: a folder keeps to one."""
 
 
@@ -250,16 +257,18 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
         FaceNetworksError: The networks are not there.
     """
     from pica_core.capture.me.face import FILE as HEAD
-    from pica_core.capture.me.register import register
-    from pica_core.capture.me.report import FILE as REPORT
-    from pica_core.capture.me.report import write_report
-    from pica_core.capture.me.scan import read_scan
-    from pica_core.capture.me.scanned import head_of_scan
+    from pica_core.capture.me.photos import photo_paths
 
     path = folder / HEAD
-    if choices.scan is None:
-        raise CaptureError("name what to make the head of: --scan FILE")
-    files = [each for each in (choices.scan, choices.texture) if each is not None]
+    sources = [each for each in (choices.scan, choices.photos, choices.video) if each is not None]
+    if len(sources) != 1:
+        raise CaptureError("name what to make the head of: one of --scan, --photos, --video")
+    if choices.texture is not None and choices.scan is None:
+        raise CaptureError(f"{choices.texture}: --texture belongs to --scan")
+    if choices.photos is not None:
+        files = photo_paths(choices.photos)
+    else:
+        files = [each for each in (sources[0], choices.texture) if each is not None]
     digests = [hashlib.sha256(read_bytes(each)).hexdigest() for each in files]
     asked = {"of": digests, "chosen": choices.chosen()}
     if path.exists():
@@ -267,10 +276,35 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
             raise CaptureError(f"{folder}: holds a head of something else; name another folder")
         return path
     networks = load_networks()
-    scan = read_scan(choices.scan, choices.texture)
+    console.print(f"Everything stays on this machine, in {folder}.", highlight=False)
+    make = _of_scan if choices.scan is not None else _of_photos
+    head, report = make(choices, networks, console)
+    console.print(f"proposed, since it was not seen: {'; '.join(head.guessed)}", highlight=False)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_aside(folder / MADE_OF, json.dumps(asked).encode())
+    report(folder / REPORT)
+    console.print(f"pictures of input and fitted head: {folder / REPORT}", highlight=False)
+    head.write(path)
+    return path
+
+
+def _agree(choices: MeChoices) -> None:
+    """Ask whether the person agrees, once everything can be read."""
     if not choices.yes and not (sys.stdin.isatty() and input(AGREES).strip().lower()[:1] == "y"):
         raise CaptureError("not made: the person has to agree; --yes says that they do")
-    console.print(f"Everything stays on this machine, in {folder}.", highlight=False)
+
+
+def _of_scan(
+    choices: MeChoices, networks: FaceNetworks, console: Console
+) -> tuple["OwnHead", Callable[[Path], None]]:
+    from pica_core.capture.me.register import register
+    from pica_core.capture.me.report import report_scan
+    from pica_core.capture.me.scan import read_scan
+    from pica_core.capture.me.scanned import head_of_scan
+
+    assert choices.scan is not None
+    scan = read_scan(choices.scan, choices.texture)
+    _agree(choices)
     found = register(scan, networks)
     unit = found.unit or f"1/{found.face.pose.scale:.4g} m (no usual unit: sized as a face is)"
     console.print(
@@ -281,13 +315,29 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     head = head_of_scan(found, choices.chosen())
     if not scan.has_colour:
         head = replace(head, guessed=("colours: the scan has none", *head.guessed))
-    console.print(f"proposed, since it was not seen: {'; '.join(head.guessed)}", highlight=False)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_aside(folder / MADE_OF, json.dumps(asked).encode())
-    write_report(folder / REPORT, found, head)
-    console.print(f"pictures of scan and fitted head: {folder / REPORT}", highlight=False)
-    head.write(path)
-    return path
+    return head, lambda path: report_scan(path, found, head)
+
+
+def _of_photos(
+    choices: MeChoices, networks: FaceNetworks, console: Console
+) -> tuple["OwnHead", Callable[[Path], None]]:
+    from pica_core.capture.me.film import choose_frames
+    from pica_core.capture.me.photos import read_photos
+    from pica_core.capture.me.pictured import fit_photos, head_of_photos
+    from pica_core.capture.me.report import report_photos
+
+    def tell(line: str) -> None:
+        console.print(line, highlight=False, markup=False)
+
+    if choices.photos is not None:
+        photos, source = read_photos(choices.photos, networks, tell), "photos"
+    else:
+        assert choices.video is not None
+        photos, source = choose_frames(choices.video, networks, tell), "a video"
+    _agree(choices)
+    found = fit_photos(photos, tell)
+    head = head_of_photos(found, choices.chosen(), source)
+    return head, lambda path: report_photos(path, found, head)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -299,7 +349,7 @@ class MeOptions(MeChoices, RenderOptions):
 
 
 def me(options: MeOptions) -> dict[str, Any]:
-    """Render your own head, from a scan, into a capture directory."""
+    """Render your own head, from a scan, photos or a video, into a capture directory."""
     console = Console(stderr=True, highlight=False)
     head = make_head(options, options.out.with_name(options.out.name + "-head"), console)
     return render_me(console, head, options, options.out)

@@ -204,6 +204,7 @@ ISLANDS = (
 """Where on a square of this side the skin's islands go, and their scales: face, back of the head,
 crown, two pieces of ears, shoulders, mouth, two eye sockets. On the model's own chart they lie on
 top of each other."""
+TOLD = ("look", "guessed", "source")
 FILE = "me.npz"
 """A fitted head, in the folder of its making."""
 
@@ -232,6 +233,7 @@ class OwnHead:
         look: Linear colours that were found, by the names of `stage.paint.PAINT` (``skin_rgb``,
             ``hair_rgb``, ``brow_rgb``, ``lip_rgb``, ``iris_rgb``); they go before the person's.
         guessed: What was not seen and is proposed, in words.
+        source: What it was made of.
     """
 
     rest_m: Float64Array
@@ -239,6 +241,7 @@ class OwnHead:
     person: Person
     look: dict[str, tuple[float, ...]]
     guessed: tuple[str, ...] = field(default=())
+    source: str = "a scan"
 
     def write(self, path: Path) -> None:
         """Write it, as `read_head` reads it.
@@ -246,7 +249,7 @@ class OwnHead:
         Raises:
             CaptureError: The file cannot be written.
         """
-        told = {"person": asdict(self.person), "look": self.look, "guessed": self.guessed}
+        told = {"person": asdict(self.person), **{k: getattr(self, k) for k in TOLD}}
         stored = io.BytesIO()
         Image.fromarray(self.texture).save(stored, "PNG")
         write_archive(
@@ -273,6 +276,7 @@ def read_head(path: Path) -> OwnHead:
             person=Person(**person | {"coefficients": tuple(person["coefficients"])}),
             look={name: tuple(value) for name, value in told["look"].items()},
             guessed=tuple(told["guessed"]),
+            source=str(told["source"]),
         )
     except (KeyError, ValueError, TypeError, OSError) as error:
         raise CaptureError(f"{path}: not a fitted head ({error})") from error
@@ -286,7 +290,7 @@ class OwnSubject(Subject):
         super().__init__(
             head,
             {
-                "source": "made from a scan of the person, who has agreed",
+                "source": f"made from {own.source} of the person, who has agreed",
                 "licence": f"the person's own; face model: {RIGHTS}",
                 "guessed": list(own.guessed),
             },

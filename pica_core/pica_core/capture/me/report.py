@@ -1,5 +1,5 @@
-"""A page of pictures for the person: the scan, the head that was fitted to it, how far they differ,
-and what was guessed. One HTML file that needs nothing beside it."""
+"""A page of pictures for the person: the input, the head that was fitted to it, how far they
+differ, and what was guessed. One HTML file that needs nothing beside it."""
 
 import base64
 import html
@@ -12,50 +12,88 @@ from PIL import Image
 from pica_core.camera import Camera, aimed_camera
 from pica_core.capture.dataset.multiface import MATERIALS, write_aside
 from pica_core.capture.me.face import OwnHead, chart_uv, head_faces
+from pica_core.capture.me.pictured import Fitted
 from pica_core.capture.me.register import Registered
 from pica_core.capture.me.scan import MeshViews, Scan
 from pica_core.capture.person.choices import read_model
 from pica_core.capture.stage.subject import View
 from pica_core.types import ByteArray, FloatArray
 
-FILE = "report.html"
 AZIMUTHS, SIDE = (0.0, 40.0, 80.0), 400
+MOST_SHOWN = 12
 WORST_M = 0.003
 """Distance that is drawn as red as any."""
 TEMPLATE = """<!doctype html><meta charset="utf-8"><title>{title}</title>
 <style>body{{font:16px sans-serif;margin:2em;max-width:1260px}}td{{padding:2px}}</style>
-<h1>{title}</h1><p>{told}</p><table><tr><th>scan<th>fitted head<th>distance, 0 to 3 mm</tr>
+<h1>{title}</h1><p>{told}</p><table><tr><th>{columns}</tr>
 {rows}</table><h2>Guessed, since it was not seen</h2><ul>{guessed}</ul>
 """
 
 
-def write_report(path: Path, found: Registered, head: OwnHead) -> None:
-    """Write the page.
+def report_scan(path: Path, found: Registered, head: OwnHead) -> None:
+    """Write the page of a scan.
 
     Raises:
         CaptureError: It cannot be written.
     """
     scan, mine, theirs = found.scan, _as_scan(head), []
-    shown: list[list[ByteArray]] = []
     pairs = ((scan, found.face.pose.undo(scan.points)), (mine, mine.points))
     for each, points in pairs:
         with MeshViews(each) as views:
             views.move(points)
             theirs.append([views.draw(_camera(azimuth)) for azimuth in AZIMUTHS])
-    for one, two in zip(*theirs, strict=True):
-        shown.append([one.image, two.image, _distance(one, two)])
-    rows = "\n".join(
-        "<tr>" + "".join(f'<td><img src="{_inline(image)}">' for image in images) + "</tr>"
-        for images in shown
-    )
+    shown = [[one.image, two.image, _distance(one, two)] for one, two in zip(*theirs, strict=True)]
     told = (
         f"{scan.path.name}: {len(scan.faces):,} triangles. The skin of the face lies "
         f"{1000 * found.off_m:.2f} mm off the scan in the median."
     )
+    _write(path, head, told, "scan<th>fitted head<th>distance, 0 to 3 mm", shown)
+
+
+def report_photos(path: Path, found: Fitted, head: OwnHead) -> None:
+    """Write the page of photos: each, the head over it, and the head alone.
+
+    Raises:
+        CaptureError: It cannot be written.
+    """
+    shown, drawn, model = [], _as_scan(head), read_model()
+    order = np.concatenate([head_faces(model, part).ravel() for part in ("skin", "eye")])
+    with MeshViews(drawn) as views:
+        for k, photo in enumerate(found.photos[:MOST_SHOWN]):
+            camera = found.solution.cameras[k]
+            views.move(found.solution.shape(model, k)[order])
+            view = views.draw(camera)
+            low, high = photo.landmarks[:, :2].min(0), photo.landmarks[:, :2].max(0)
+            side = 0.8 * float(max(high - low))
+            left, top = np.maximum((low + high) / 2 - side, 0).astype(int)
+            right, bottom = ((low + high) / 2 + side).astype(int)
+            over = np.where((view.depth_m > 0)[..., None], view.image, photo.image)
+            mixed = (0.5 * over + 0.5 * photo.image).astype(np.uint8)
+            shown.append(
+                [
+                    np.asarray(Image.fromarray(each[top:bottom, left:right]).resize((SIDE, SIDE)))
+                    for each in (photo.image, mixed, over)
+                ]
+            )
+    told = (
+        f"{len(found.photos)} photos; landmarks lie {found.off_px:.1f} px off in the median. "
+        "Size cannot be seen in photos: it is an average one."
+    )
+    _write(path, head, told, "photo<th>both<th>fitted head", shown)
+
+
+def _write(
+    path: Path, head: OwnHead, told: str, columns: str, shown: list[list[ByteArray]]
+) -> None:
+    rows = "\n".join(
+        "<tr>" + "".join(f'<td><img src="{_inline(image)}">' for image in images) + "</tr>"
+        for images in shown
+    )
     guessed = "".join(f"<li>{html.escape(each)}" for each in head.guessed)
     page = TEMPLATE.format(
-        title="Your own head, from a scan", told=html.escape(told), rows=rows, guessed=guessed
-    )
+        title=f"Your own head, from {head.source}", told=html.escape(told), columns=columns,
+        rows=rows, guessed=guessed,
+    )  # fmt: skip
     write_aside(path, page.encode())
 
 

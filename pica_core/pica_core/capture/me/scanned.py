@@ -64,9 +64,9 @@ class Unwrapped:
         return np.einsum("tk,tk...->t...", self.weights, values[self.faces])
 
 
-def unwrap(model: FaceModel) -> Unwrapped:
-    """Find the triangle of each texel of the model's skin."""
-    size = TEXTURE_SIZE
+def unwrap(model: FaceModel, size: int | None = None) -> Unwrapped:
+    """Find the triangle of each texel of the model's skin, on a texture so wide."""
+    size = size or TEXTURE_SIZE
     skin = model.mean.part == MATERIALS.index("skin")
     uv = chart_uv(model)[model.mean.uv_faces[skin]].reshape(-1, 2)
     count = len(uv) // 3
@@ -179,17 +179,96 @@ def head_of_scan(found: Registered, chosen: dict[str, str]) -> OwnHead:
         chosen: Fields of `Person` that the user names: hair, hair_colour, eyes, clothes ...
     """
     model = read_model()
-    features = find_features(model.shaped(found.rest_m))
-    guessed = ["inside of the mouth, teeth and tongue", "clothes"]
     flat = unwrap(model)
-    places = flat.at(found.rest_m)
-    colours, alpha = _colours(found, places, flat.at(found.seen))
+    colours, alpha = _colours(found, flat.at(found.rest_m), flat.at(found.seen))
+    worn = wear(model, found.rest_m, flat, colours, alpha)
+    scalp = flat.at(hair_coverage(found.rest_m)) > 0.3
+    style, hair = _hair(colours[scalp], worn.alpha[scalp], worn.skin)
+    guessed = () if style != PROPOSED else ("hair: the scan has no crown",)
+    return worn.head(
+        found.face.coefficients, style, hair, _iris(found, worn.skin), chosen, "a scan", guessed
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Worn:
+    """A shape with its colours.
+
+    Attributes:
+        alpha: How well each texel of the skin is known. ``[T]``.
+        texture: As `OwnHead` has it.
+        look: Colours that were found.
+        tone: Of the skin, 1 to 6.
+    """
+
+    rest_m: Float64Array
+    alpha: Float64Array
+    texture: ByteArray
+    look: dict[str, tuple[float, ...]]
+    tone: float
+
+    @property
+    def skin(self) -> Float64Array:
+        """Colour of the skin, linear. ``[3]``."""
+        return np.array(self.look["skin_rgb"])
+
+    def head(
+        self,
+        coefficients: Float64Array,
+        style: str,
+        hair: Float64Array | None,
+        iris: Float64Array | None,
+        chosen: dict[str, str],
+        source: str,
+        guessed: tuple[str, ...],
+    ) -> OwnHead:
+        """The fitted head, with hair and eyes that were found or not."""
+        guessed = ("inside of the mouth, teeth and tongue", "clothes", *guessed)
+        look = dict(self.look)
+        if iris is None:
+            guessed = (*guessed, "colour of the eyes")
+        else:
+            look["iris_rgb"] = tuple(iris.tolist())
+        if hair is not None:
+            look["hair_rgb"] = tuple(hair.tolist())
+        choices: dict[str, Any] = {
+            "sex": "male" if coefficients @ read_model().male > 0 else "female",
+            "hair": style, "clothes": "tee", "clothes_colour": "charcoal",
+            "hair_colour": "brown" if hair is None else nearest_name(HAIR_COLOURS, hair),
+            "eyes": "brown" if iris is None else nearest_name(EYE_COLOURS, iris),
+        }  # fmt: skip
+        for option, name in (("eyes", "iris_rgb"), ("hair_colour", "hair_rgb")):
+            if option in chosen:
+                look.pop(name, None)
+        clipped = np.clip(coefficients[:NUM_MODES], -CLIP, CLIP)
+        person = Person(seed=0, skin=self.tone, coefficients=tuple(clipped.tolist()))
+        return OwnHead(
+            rest_m=self.rest_m,
+            texture=self.texture,
+            person=replace(person, **choices | chosen),
+            look=look,
+            guessed=guessed,
+            source=source,
+        )
+
+
+def wear(
+    model: FaceModel, rest_m: Float64Array, flat: Unwrapped,
+    colours: Float64Array, alpha: Float64Array,
+) -> Worn:  # fmt: skip
+    """Put colours on a shape.
+
+    Args:
+        colours: Of texels, linear, as `unlit` has them. ``[T, 3]``.
+        alpha: How well they are known. ``[T]``.
+    """
+    features = find_features(model.shaped(rest_m))
     lips, gap = flat.at(features.lips), flat.at(features.eye_gap_m)
-    alpha *= np.clip((gap - LID_EDGE_M[0]) / np.diff(LID_EDGE_M)[0], 0, 1)
+    alpha = alpha * np.clip((gap - LID_EDGE_M[0]) / np.diff(LID_EDGE_M)[0], 0, 1)
     alpha *= np.clip((1.2 - lips) / 0.4, 0, 1)
     inner = flat.at(features.regions["face"].astype(np.float64)) > 0.5
+    places = flat.at(rest_m)
     look, tone = skin_colours(colours, inner & (alpha > 0.5), places, lips, features)
-    scalp = flat.at(hair_coverage(found.rest_m)) > 0.3
     texture = np.zeros((*flat.seen.shape, 4), np.uint8)
     texture[flat.seen, :3] = np.rint(255 * np.clip(colours, 0, 1) ** (1 / 2.2))
     opaque = np.zeros(flat.seen.shape)
@@ -200,35 +279,7 @@ def head_of_scan(found: Registered, chosen: dict[str, str]) -> OwnHead:
     texture[..., 3] = np.rint(255 * np.minimum(opaque, soft))
     # What filters reach beyond the edges is as the edge.
     row, column = distance_transform_edt(~flat.seen, return_distances=False, return_indices=True)
-    texture = texture[row, column]
-    style, hair = _hair(colours[scalp], alpha[scalp], np.array(look["skin_rgb"]))
-    if style == PROPOSED:
-        guessed.append("hair: the scan has no crown")
-    iris = _iris(found, np.array(look["skin_rgb"]))
-    if iris is None:
-        guessed.append("colour of the eyes")
-    else:
-        look["iris_rgb"] = tuple(iris.tolist())
-    if hair is not None:
-        look["hair_rgb"] = tuple(hair.tolist())
-    choices: dict[str, Any] = {
-        "sex": "male" if found.face.coefficients @ model.male > 0 else "female",
-        "hair": style, "clothes": "tee", "clothes_colour": "charcoal",
-        "hair_colour": "brown" if hair is None else nearest_name(HAIR_COLOURS, hair),
-        "eyes": "brown" if iris is None else nearest_name(EYE_COLOURS, iris),
-    }  # fmt: skip
-    for option, name in (("eyes", "iris_rgb"), ("hair_colour", "hair_rgb")):
-        if option in chosen:
-            look.pop(name, None)
-    coefficients = np.clip(found.face.coefficients[:NUM_MODES], -CLIP, CLIP)
-    person = Person(seed=0, skin=tone, coefficients=tuple(coefficients.tolist()))
-    return OwnHead(
-        rest_m=found.rest_m,
-        texture=texture,
-        person=replace(person, **choices | chosen),
-        look=look,
-        guessed=tuple(guessed),
-    )
+    return Worn(rest_m=rest_m, alpha=alpha, texture=texture[row, column], look=look, tone=tone)
 
 
 def _colours(
@@ -264,8 +315,12 @@ def _iris(found: Registered, skin: Float64Array) -> Float64Array | None:
         offset = np.linalg.norm(found.cloud.points - pupil, axis=1)
         ring = (offset > IRIS_M[0]) & (offset < IRIS_M[1])
         rings.append(found.cloud.colours[ring & (found.cloud.points[:, 1] < pupil[1])])
-    colours = np.concatenate(rings)
-    if len(colours) < 20:
+    return iris_colour(255 * np.concatenate(rings), skin)
+
+
+def iris_colour(srgb: Float64Array | ByteArray, skin: Float64Array) -> Float64Array | None:
+    """Colour of irises that show so ``[N, 3]``, 0 to 255; none of closed lids."""
+    if len(srgb) < 20:
         return None
-    colour = np.clip(unlit(linear(255 * np.median(colours, axis=0))), 0.008, 0.3)
+    colour = np.clip(unlit(linear(np.median(srgb, axis=0))), 0.008, 0.3)
     return None if np.abs(np.log(colour) - np.log(skin)).max() < LIKE_SKIN else colour

@@ -14,7 +14,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.camera import dome_cameras
 from pica_core.capture.me.face import head_faces
 from pica_core.capture.me.register import Registered, register
-from pica_core.capture.me.report import write_report
+from pica_core.capture.me.report import report_scan
 from pica_core.capture.me.scan import read_scan
 from pica_core.capture.me.scanned import head_of_scan
 from pica_core.capture.person.choices import read_model
@@ -90,7 +90,7 @@ def test_a_scan_in_millimetres_on_its_back_with_holes_gives_the_persons_shape(
     head = head_of_scan(found, {"hair": "bald"})
     assert head.person.hair == "bald"
     assert (head.texture[..., 3] > 127).mean() > 0.4
-    write_report(tmp_path / "report.html", found, head)
+    report_scan(tmp_path / "report.html", found, head)
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/jpeg") == 9
     assert all(each in page for each in head.guessed)

@@ -1,0 +1,243 @@
+"""Photos of a person as their files have them, the landmarks in each, and a fit of those."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps
+from scipy.ndimage import gaussian_filter
+
+from pica_core.camera import Camera, look_at
+from pica_core.capture.me.face import TABLE, align, landmark_places
+from pica_core.capture.me.solve import Sight, Solution, Spots, solve, spots_on
+from pica_core.capture.person.choices import NUM_MODES, FaceModel, read_model
+from pica_core.errors import CaptureError
+from pica_core.face_networks import NUM_LANDMARKS, FaceNetworks, region_of
+from pica_core.types import ByteArray, Float64Array, FloatArray
+
+PHONE_FOCAL_MM, DIAGONAL_MM = 27.0, 43.27
+"""Usual focal length of phones, for a picture of 35 mm film, and the diagonal of that."""
+KNOWN, UNKNOWN = 0.04, 0.15
+"""How far a focal length may be off, relative: of a file, and of a phone that is not named."""
+LEAST_M = 0.0004
+"""No landmark is trusted more."""
+IRISES = slice(468, 478)
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif")
+HEIC = (".heic", ".heif")
+MODES = ("RGB", "RGBA", "L", "P")
+MOST_PHOTOS, MOST_SIDE, SIDE = 60, 12_000, 1920
+"""Photos, their longest side in pixels, and to what they are reduced."""
+EXIF_IFD, FILM_FOCAL, MODEL = 0x8769, 0xA405, 0x0110
+SURE, LEAST_FACE_PX, MOST_TURNED, LEAST_SHARP = 0.6, 80, 62.0, 0.1
+"""What a photo needs: sureness of the networks, width of the face in pixels, degrees from the
+front, and `sharpness` (measured on drawn people)."""
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Photo:
+    """A photo with one face.
+
+    Attributes:
+        image: sRGB, upright. uint8 ``[H, W, 3]``.
+        landmarks: Columns, rows and depths in pixels. ``[478, 3]``.
+        focal_px: As its file says, 0 where it does not.
+        lens: What photos of one lens share.
+        sharp: See `sharpness`.
+    """
+
+    name: str
+    image: ByteArray
+    landmarks: FloatArray
+    focal_px: float
+    lens: tuple[object, ...]
+    sharp: float
+
+
+def photo_paths(folder: Path) -> list[Path]:
+    """The photos of a folder.
+
+    Raises:
+        CaptureError: There is none, or too many.
+    """
+    try:
+        paths = sorted(each for each in folder.iterdir() if each.suffix.lower() in SUFFIXES)
+    except OSError as error:
+        raise CaptureError(f"{folder}: {error.strerror}; name the folder of photos") from error
+    if not 0 < len(paths) <= MOST_PHOTOS:
+        told = f"1 to {MOST_PHOTOS} are taken, with names on {', '.join(SUFFIXES)}"
+        raise CaptureError(f"{folder}: {len(paths)} photos; {told}")
+    return paths
+
+
+def read_photos(folder: Path, networks: FaceNetworks, tell: Tell) -> list[Photo]:
+    """Read all photos of a folder; what is of no use is told and left out.
+
+    Raises:
+        CaptureError: None is of use.
+    """
+    photos: list[Photo] = []
+    for path in photo_paths(folder):
+        try:
+            photos.append(read_photo(path, networks))
+        except CaptureError as error:
+            tell(f"left out: {error}")
+    if not photos:
+        raise CaptureError(f"{folder}: no photo is of use; each line above says why")
+    return photos
+
+
+def read_photo(path: Path, networks: FaceNetworks) -> Photo:
+    """Read a photo, upright.
+
+    Raises:
+        CaptureError: It cannot be read, or does not show one face well; names file and remedy.
+    """
+    if path.suffix.lower() in HEIC:
+        raise CaptureError(f"{path}: HEIC is not read; export it as JPEG (camera: most compatible)")
+    try:
+        with Image.open(path) as opened:
+            if max(opened.size) > MOST_SIDE:
+                raise CaptureError(
+                    f"{path}: {opened.width}x{opened.height}; sides up to "
+                    f"{MOST_SIDE} are read: make it smaller"
+                )
+            if opened.mode not in MODES:
+                raise CaptureError(f"{path}: pixels are {opened.mode}; save it with 8 bits as RGB")
+            exif = opened.getexif()
+            told = {**exif, **exif.get_ifd(EXIF_IFD)}
+            picture = ImageOps.exif_transpose(opened).convert("RGB")
+        film_mm = float(told.get(FILM_FOCAL) or 0)
+    except (OSError, SyntaxError, ValueError, TypeError, Image.DecompressionBombError) as error:
+        raise CaptureError(f"{path}: not a complete photo ({error}); save it again") from error
+    picture.thumbnail((SIDE, SIDE), Image.Resampling.BOX, reducing_gap=None)
+    return photo_of(path.name, picture, film_mm, told.get(MODEL), networks, str(path))
+
+
+def photo_of(
+    name: str, picture: Image.Image, film_mm: float, model: object, networks: FaceNetworks,
+    where: str,
+) -> Photo:  # fmt: skip
+    """Find the one face of a picture.
+
+    Raises:
+        CaptureError: There is none, or not one that is seen well; begins with `where`.
+    """
+    regions = networks.detect(picture)
+    if not regions:
+        raise CaptureError(f"{where}: no face is found; show the whole face, in light")
+    if len(regions) > 1 and regions[1].side > 0.5 * regions[0].side:
+        raise CaptureError(f"{where}: two people; cut the picture to one")
+    landmarks, sure = networks.landmarks(picture, regions[0])
+    for _ in range(2):
+        landmarks, sure = networks.landmarks(picture, region_of(landmarks))
+    low, high = landmarks[:, :2].min(0), landmarks[:, :2].max(0)
+    if sure < SURE:
+        raise CaptureError(f"{where}: no face is sure; no sunglasses, no hand, not from behind")
+    if min(high - low) < LEAST_FACE_PX:
+        raise CaptureError(
+            f"{where}: the face is {min(high - low):.0f} px wide; {LEAST_FACE_PX} are needed: "
+            "come nearer"
+        )
+    if (low < 0).any() or (high > picture.size).any():
+        raise CaptureError(f"{where}: the face is cut off; show all of it, with the forehead")
+    pose = align(landmark_places().mean_m, landmarks.astype(np.float64), np.ones(len(landmarks)))
+    if -pose.rotation[2, 2] < np.cos(np.radians(MOST_TURNED)):
+        raise CaptureError(f"{where}: a profile; turn to the camera, up to 45 degrees off")
+    image = np.asarray(picture)
+    sharp = sharpness(image, low, high)
+    if sharp < LEAST_SHARP:
+        raise CaptureError(f"{where}: blurred; hold the camera still, in more light")
+    return Photo(
+        name=name, image=image, landmarks=landmarks,
+        focal_px=film_mm / DIAGONAL_MM * float(np.hypot(*picture.size)),
+        lens=(model, film_mm, tuple(sorted(picture.size))), sharp=sharp,
+    )  # fmt: skip
+
+
+def sharpness(image: ByteArray, low: FloatArray, high: FloatArray) -> float:
+    """How strong details of a part of an image are beside its coarser ones: a face of 100 samples
+    a side, so that it does not hang on its size."""
+    (left, top), (right, bottom) = np.maximum(low, 0).astype(int), high.astype(int)
+    grey = image[top:bottom, left:right].mean(2)
+    pixel = max(min(grey.shape) / 200, 1.0)
+    one, two, four = (gaussian_filter(grey, pixel * sigma) for sigma in (0.5, 1.0, 4.0))
+    return float(np.std(one - two) / max(float(np.std(two - four)), 1e-3))
+
+
+def landmark_spots(model: FaceModel) -> Spots:
+    """The 478 landmarks of the face networks; their offsets are those that a person's landmarks
+    have from all sides."""
+    with np.load(TABLE) as stored:
+        vertices, weights = stored["vertices"], stored["weights"].astype(np.float64)
+        shared_m = stored["noise_mm"][:, 0].astype(np.float64) / 1000
+    precision = np.maximum(shared_m, LEAST_M) ** -2
+    return spots_on(model, vertices, weights, precision[:, None, None] * np.eye(3))
+
+
+def first_guess(photos: list[Photo]) -> tuple[Solution, list[tuple[float, float]]]:
+    """A face of average shape in each photo, and what is known of the lenses."""
+    lenses = list(dict.fromkeys(photo.lens for photo in photos))
+    places = landmark_places()
+    cameras, priors = [], [(0.0, 0.0)] * len(lenses)
+    for photo in photos:
+        height, width = photo.image.shape[:2]
+        usual = PHONE_FOCAL_MM / DIAGONAL_MM * float(np.hypot(height, width))
+        focal = photo.focal_px or usual
+        priors[lenses.index(photo.lens)] = (focal, KNOWN if photo.focal_px else UNKNOWN)
+        pose = align(places.mean_m, photo.landmarks.astype(np.float64), places.noise_m**-2)
+        middle = np.array([width / 2, height / 2, 0.0])
+        cameras.append(
+            Camera(
+                name=photo.name,
+                intrinsics=np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]),
+                rotation=pose.rotation,
+                translation_m=(pose.translation - middle) * [1, 1, 0] / pose.scale
+                + [0, 0, focal / pose.scale],
+                width=width,
+                height=height,
+            )
+        )
+    return Solution(
+        coefficients=np.zeros(NUM_MODES),
+        expressions=np.zeros((len(photos), 52)),
+        cameras=tuple(cameras),
+        offset_m=np.zeros((NUM_LANDMARKS, 3)),
+        lens=np.array([lenses.index(photo.lens) for photo in photos]),
+    ), priors
+
+
+def landmark_sight(photo: Photo, camera: Camera) -> Sight:
+    """What landmarks say, without what the networks put off in such a view."""
+    with np.load(TABLE) as stored:
+        bias_m = stored["view_bias_mm"].astype(np.float64) / 1000
+        near_m, far_m = stored["noise_mm"][:, 1:].astype(np.float64).T / 1000
+    away = camera.centre_m / np.linalg.norm(camera.centre_m)
+    azimuth, elevation = np.clip([np.arctan2(away[0], away[2]), np.arcsin(away[1])], -0.9, 0.9)
+    level = look_at(centre_m=away, target_m=np.zeros(3), vertical_fov=1.0, width=2, height=2)
+    roll = (camera.rotation @ level.rotation.T)[:2, :2]
+    off_m = bias_m @ view_terms(azimuth, elevation) @ roll.T
+    per_metre = camera.intrinsics[0, 0] / camera.translation_m[2]
+    share = np.clip((abs(azimuth) - 0.3) / 0.4, 0, 1)
+    noise = per_metre * np.maximum(near_m + (far_m - near_m) * share, LEAST_M)
+    precision = np.eye(2) / noise[:, None, None] ** 2
+    precision[IRISES] = 0
+    return Sight(pixels=photo.landmarks[:, :2] - per_metre * off_m, precision=precision)
+
+
+def view_terms(azimuth: float, elevation: float) -> Float64Array:
+    """What the networks' errors are linear in, for a view from there, radians. ``[6]``."""
+    a, e = azimuth, elevation
+    return np.array([1.0, a, a * a, e, a**3, a * e])
+
+
+def fit_landmarks(photos: list[Photo]) -> tuple[Solution, Spots]:
+    """Fit cameras, identity and expressions to landmarks, twice, since what is known of landmarks
+    depends on the view."""
+    found, priors = first_guess(photos)
+    spots = landmark_spots(read_model())
+    for rounds in (5, 8):
+        sights = [landmark_sight(*pair) for pair in zip(photos, found.cameras, strict=True)]
+        found = solve(spots, sights, found, priors, rounds=rounds)
+    return found, spots

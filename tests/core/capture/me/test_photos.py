@@ -1,0 +1,247 @@
+"""Photos and films of a person: what cannot be used, and a head whose truth is known."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image, ImageFilter
+
+from helpers.face_networks import face_networks
+from helpers.small_capture import small_subject
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.camera import Camera, aimed_camera, look_at
+from pica_core.capture.me.face import align, read_head
+from pica_core.capture.me.film import choose_frames, spread_out
+from pica_core.capture.me.photos import landmark_spots, photo_paths, read_photo, read_photos
+from pica_core.capture.me.pictured import fit_photos
+from pica_core.capture.me.solve import Sight, Solution, solve
+from pica_core.capture.person.choices import NUM_MODES, read_model
+from pica_core.cli import MeOptions, me
+from pica_core.errors import CaptureError
+from pica_core.types import ByteArray, Float64Array
+
+pytestmark = pytest.mark.render
+
+SIDE, FOCAL = 640, 900.0
+AZIMUTHS = (0.0, 25.0, -25.0)
+
+
+def test_identity_focal_length_and_expressions_follow_from_landmarks() -> None:
+    model, random = read_model(), np.random.default_rng(3)
+    spots = landmark_spots(model)
+    true = random.normal(0, 1, NUM_MODES)
+    worn = np.zeros((7, NUM_ARKIT))
+    worn[3, ARKIT_INDEX["jawOpen"]] = 0.4
+    angles = zip((0, -45, 45, -22, 22, 10, -10), (0, 0, 0, 12, -12, 15, -15), strict=True)
+    cameras = [_camera(azimuth, elevation) for azimuth, elevation in angles]
+    exact = _solution(cameras, true, worn)
+    sights = [
+        Sight(
+            pixels=camera.project(exact.points(spots, k))[0] + random.normal(0, 0.3, (478, 2)),
+            precision=np.tile(np.eye(2), (478, 1, 1)),
+        )
+        for k, camera in enumerate(cameras)
+    ]
+    spots = replace(spots, offset_precision=1e8 * np.tile(np.eye(3), (478, 1, 1)))
+    begun = [
+        replace(camera, intrinsics=camera.intrinsics * [[1.2, 1, 1], [1, 1.2, 1], [1, 1, 1]])
+        for camera in cameras
+    ]
+    start = _solution(begun, np.zeros(NUM_MODES), np.zeros_like(worn))
+    found = solve(spots, sights, start, [(1.2 * FOCAL, 0.15)])
+    assert abs(found.cameras[0].intrinsics[0, 0] / FOCAL - 1) < 0.03
+    assert abs(found.expressions[3, ARKIT_INDEX["jawOpen"]] - 0.4) < 0.05
+    assert found.expressions[:3].max() < 0.1
+    shape, truth = found.shape(model)[::7], exact.shape(model)[::7]
+    face = truth[:, 2] > 0.03
+    placed = align(shape[face], truth[face], np.ones(face.sum()))
+    apart = np.linalg.norm(placed.apply(shape[face]) - truth[face], axis=1)
+    average = model.mean.rest_m[::7][face]
+    mean = align(average, truth[face], np.ones(face.sum())).apply(average)
+    assert np.median(apart) < 0.0005 < np.median(np.linalg.norm(mean - truth[face], axis=1))
+
+
+def test_a_smaller_head_is_no_better_explanation() -> None:
+    """What landmarks are off by would be less in a smaller head; photos do not show a size."""
+    model, random = read_model(), np.random.default_rng(4)
+    spots = landmark_spots(model)
+    cameras = [_camera(azimuth, 0) for azimuth in (-40, -20, 0, 20, 40)]
+    exact = _solution(cameras, np.zeros(NUM_MODES), np.zeros((5, NUM_ARKIT)))
+    off = random.normal(0, 0.003, (478, 3))
+    sights = [
+        Sight(
+            pixels=camera.project(exact.points(spots, k) + off)[0],
+            precision=np.tile(np.eye(2), (478, 1, 1)),
+        )
+        for k, camera in enumerate(cameras)
+    ]
+    found = solve(spots, sights, exact, [(FOCAL, 0.04)])
+    mean, shape = model.mean.rest_m[::9], found.shape(model)[::9]
+    assert abs(align(mean, shape, np.ones(len(mean))).scale - 1) < 0.02
+
+
+def _camera(azimuth: float, elevation: float) -> Camera:
+    a, e = np.radians([azimuth, elevation])
+    away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+    middle = np.array([0.0, -0.02, 0.03])
+    fov = 2 * np.arctan(SIDE / 2 / FOCAL)
+    return look_at(
+        centre_m=middle + 0.6 * away, target_m=middle, vertical_fov=fov, width=SIDE, height=SIDE
+    )
+
+
+def _solution(
+    cameras: list[Camera], coefficients: Float64Array, expressions: Float64Array
+) -> Solution:
+    return Solution(
+        coefficients=coefficients, expressions=expressions, cameras=tuple(cameras),
+        offset_m=np.zeros((478, 3)), lens=np.zeros(len(cameras), int),
+    )  # fmt: skip
+
+
+def test_frames_are_the_sharpest_of_each_view_and_spread_from_the_front() -> None:
+    views = np.radians([[0, 0], [1, 0], [30, 0], [31, 0], [-40, 5], [10, 0]])
+    sharp = np.array([0.2, 0.3, 0.3, 0.2, 0.3, 0.1])
+    assert spread_out(views, sharp) == [1, 4, 2, 5]
+
+
+# Pictures of a drawn person
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[ByteArray]:
+    """A drawn person from three sides, over a grey ground."""
+    subject = small_subject(bake_size=512)
+    subject.pose(np.zeros(NUM_ARKIT))
+    drawn = [
+        subject.draw(aimed_camera("", azimuth, 0.0, "head", width=SIDE, height=SIDE)).image
+        for azimuth in (*AZIMUTHS, 100.0)
+    ]
+    subject.release()
+    return drawn
+
+
+Change = Callable[[Image.Image], Image.Image]
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("cmyk.jpg", lambda face: face.convert("CMYK"), "pixels are CMYK; save it with 8 bits"),
+        ("deep.png", lambda face: face.convert("I;16"), "pixels are I;16; save it with 8 bits"),
+        ("grey.png", lambda face: Image.new("RGB", face.size, "grey"), "no face is found"),
+        ("blurred.png", lambda face: face.filter(ImageFilter.GaussianBlur(9)), "blurred|no face"),
+        ("pair.png", lambda face: Image.fromarray(np.hstack([face, face])), "two people"),
+        ("cut.png", lambda face: face.crop((0, 330, SIDE, SIDE)), "cut off|no face"),
+    ],
+)
+def test_a_photo_that_is_of_no_use_is_named_with_a_remedy(
+    tmp_path: Path, pictures: list[ByteArray], name: str, change: Change, message: str
+) -> None:
+    change(Image.fromarray(pictures[0])).save(tmp_path / name)
+    with pytest.raises(CaptureError, match=message) as caught:
+        read_photo(tmp_path / name, face_networks())
+    assert name in str(caught.value)
+
+
+def test_a_photo_is_turned_as_its_file_says_and_its_alpha_is_nothing(
+    tmp_path: Path, pictures: list[ByteArray]
+) -> None:
+    face = Image.fromarray(pictures[0])
+    exif = Image.Exif()
+    exif[0x0112], exif[0x0110] = 6, "a phone"
+    exif.get_ifd(0x8769)[0xA405] = 28
+    face.rotate(90, expand=True).save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    face.convert("RGBA").save(tmp_path / "clear.png")
+    turned, clear = (read_photo(tmp_path / n, face_networks()) for n in ("turned.jpg", "clear.png"))
+    assert np.abs(turned.landmarks - clear.landmarks)[:, :2].max() < 8
+    assert turned.focal_px == pytest.approx(28 / 43.27 * np.hypot(SIDE, SIDE))
+    assert clear.focal_px == 0
+
+
+def test_a_folder_tells_what_it_leaves_out_and_goes_on(
+    tmp_path: Path, pictures: list[ByteArray]
+) -> None:
+    Image.fromarray(pictures[0]).save(tmp_path / "face.png")
+    Image.fromarray(pictures[3]).save(tmp_path / "profile.png")
+    (tmp_path / "torn.jpg").write_bytes(b"\xff\xd8\xff")
+    (tmp_path / "phone.heic").write_bytes(b"ftypheic")
+    told: list[str] = []
+    photos = read_photos(tmp_path, face_networks(), told.append)
+    assert [photo.name for photo in photos] == ["face.png"]
+    assert len(told) == 3
+    for line, words in zip(
+        told, ("HEIC is not read; export it", "profile.png", "not a complete photo"), strict=True
+    ):
+        assert line.startswith("left out: ")
+        assert words in line
+
+
+def test_folders_without_photos_or_with_too_many_are_refused(tmp_path: Path) -> None:
+    for folder, words in ((tmp_path / "none", "No such file"), (tmp_path, "0 photos; 1 to 60")):
+        with pytest.raises(CaptureError, match=words):
+            photo_paths(folder)
+
+
+def test_the_command_takes_one_kind_of_input(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="one of --scan, --photos, --video"):
+        me(MeOptions(photos=tmp_path, video=tmp_path, out=tmp_path / "capture"))
+    with pytest.raises(CaptureError, match="--texture belongs to --scan"):
+        me(MeOptions(photos=tmp_path, texture=tmp_path, out=tmp_path / "capture"))
+
+
+def write_film(path: Path, images: list[ByteArray], seconds: float) -> None:
+    """A film of still pictures, stored on its side, whose first time is not 0."""
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "yuv420p"
+        stream.bit_rate = 8_000_000
+        stream.set_display_rotation(90)
+        for number in range(int(10 * seconds)):
+            image = images[int(number / (10 * seconds) * len(images))]
+            turned = np.ascontiguousarray(np.rot90(image, -1))
+            frame = av.VideoFrame.from_ndarray(turned, format="rgb24")
+            frame.pts, frame.time_base = 50 + number, Fraction(1, 10)
+            film.mux(stream.encode(frame))
+        film.mux(stream.encode())
+
+
+def test_a_film_gives_one_frame_of_each_view(tmp_path: Path, pictures: list[ByteArray]) -> None:
+    write_film(tmp_path / "late.mp4", pictures[:3], 3.0)
+    told: list[str] = []
+    frames = choose_frames(tmp_path / "late.mp4", face_networks(), told.append)
+    assert len(frames) == 3
+    assert all(frame.landmarks[152, 1] > frame.landmarks[10, 1] + 100 for frame in frames)
+    assert "30 frames looked at" in told[0]
+    write_film(tmp_path / "short.mp4", pictures[:1], 1.0)
+    (tmp_path / "torn.mp4").write_bytes(b"no film")
+    for name, words in (("short.mp4", "at least 2 s are needed"), ("torn.mp4", "not a film")):
+        with pytest.raises(CaptureError, match=words):
+            choose_frames(tmp_path / name, face_networks(), told.append)
+
+
+@pytest.mark.slow
+def test_photos_become_a_head_with_its_report(
+    tmp_path: Path, pictures: list[ByteArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for number, image in enumerate(pictures[:3]):
+        Image.fromarray(image).save(folder / f"{number}.png")
+    monkeypatch.setattr("pica_core.cli.load_networks", face_networks)
+    monkeypatch.setattr("pica_core.capture.me.scanned.TEXTURE_SIZE", 256)
+    monkeypatch.setattr("pica_core.cli.render_me", lambda console, head, *_: {"head": str(head)})
+    made = me(MeOptions(photos=folder, yes=True, out=tmp_path / "capture"))
+    head = read_head(Path(made["head"]))
+    assert head.source == "photos"
+    assert "back of the head" in head.guessed
+    assert (head.texture[..., 3] > 127).mean() > 0.05  # outlines are wide on so small a chart
+    page = (Path(made["head"]).parent / "report.html").read_text()
+    assert page.count("data:image/jpeg") == 9
+    told: list[str] = []
+    photos = read_photos(folder, face_networks(), told.append)
+    assert fit_photos(photos, told.append).off_px < 4
