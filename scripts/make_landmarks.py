@@ -1,10 +1,12 @@
 """Find where on the face model the 478 landmarks lie: `pica_core/capture/me/landmarks.npz`.
 
-    python scripts/make_landmarks.py            # two minutes of a core; needs `pica webcam setup`
+    python scripts/make_landmarks.py            # ten minutes of a core; needs `pica webcam setup`
 
 People of the face model, with eyes open and lips closed, are drawn from several sides. The networks
 find their landmarks in each picture, and the depth of the picture gives the place on the model's
-surface. The medoid over all pictures is kept, with the spread around it.
+surface. The medoid over all pictures is kept, with the spread around it; and, for photos, what the
+networks are off by in the picture as a function of the view, and what is left: the same for all
+views of a person, and not, from the front and from the side.
 """
 
 from __future__ import annotations
@@ -19,15 +21,18 @@ from PIL import Image
 from scipy.spatial import KDTree
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.camera import aimed_camera
+from pica_core.camera import Camera, aimed_camera
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.me.face import LANDMARKS, TABLE
+from pica_core.capture.me.photos import view_terms
 from pica_core.capture.person.choices import draw_person, read_model
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.face_networks import load_networks
-from pica_core.types import Array, Float64Array, IntArray
+from pica_core.types import Array, Float64Array, FloatArray, IntArray
 
-VIEWS = [(a, e) for a in (-32, -16, 0, 16, 32) for e in (-14, 0, 14)]
+VIEWS = [(a, e) for a in (-48, -32, -16, 0, 16, 32, 48) for e in (-14, 0, 14)]
+PLACED = 32
+"""Degrees up to which the outline of a picture is not yet that of the cheek."""
 SIDE = 640
 SURE, CANDIDATES = 0.9, 24
 
@@ -40,12 +45,15 @@ def main() -> None:
     options = parser.parse_args()
     networks, mean = load_networks(options.networks), read_model().mean
     outer = np.isin(mean.part, [MATERIALS.index(name) for name in ("skin", "eye")])
+    seen: list[tuple[int, Camera, FloatArray]] = []
+    shapes: list[Float64Array] = []
     found = np.full((options.people, len(VIEWS), LANDMARKS, 3), np.nan)
     for seed in range(options.people):
         subject = PersonSubject(
             draw_person(1000 + seed, hair="short"), bake_size=1024, self_shadow=False
         )
         rest = subject.head.mesh.rest_m[: len(mean.rest_m)]
+        shapes.append(rest.astype(np.float64))
         surface = trimesh.Trimesh(rest, mean.faces[outer], process=False)
         subject.pose(np.zeros(NUM_ARKIT))
         for number, (azimuth, elevation) in enumerate(VIEWS):
@@ -55,6 +63,9 @@ def main() -> None:
             for region in networks.detect(picture)[:1]:
                 landmarks, sure = networks.landmarks(picture, region)
                 if sure < SURE:
+                    continue
+                seen.append((seed, camera, landmarks))
+                if abs(azimuth) > PLACED:
                     continue
                 column, row = np.clip(landmarks[:, :2], 0, SIDE - 1).astype(int).T
                 depth = view.depth_m[row, column]
@@ -68,12 +79,47 @@ def main() -> None:
     centre, spread = medoid(found.reshape(-1, LANDMARKS, 3))
     surface = trimesh.Trimesh(mean.rest_m, mean.faces[outer], process=False)
     corners, weights, _ = nearest(surface, centre)
+    places = [np.einsum("nk,nkc->nc", weights, shape[corners]) for shape in shapes]
+    bias_m, noise_m = view_errors(seen, places)
     np.savez_compressed(
         TABLE, vertices=corners.astype(np.int32),
         weights=weights.astype(np.float32), spread_m=spread.astype(np.float32),
+        view_bias_mm=np.float16(1000 * bias_m), noise_mm=np.float16(1000 * noise_m),
     )  # fmt: skip
     for name, some in (("all", slice(None)), ("best half", np.argsort(spread)[:239])):
         print(f"{name}: median spread {1000 * np.median(spread[some]):.2f} mm", file=sys.stderr)
+
+
+def view_errors(
+    seen: list[tuple[int, Camera, FloatArray]], places: list[Float64Array]
+) -> tuple[Float64Array, Float64Array]:
+    """What landmarks are off by across the view, metres, as factors of `view_terms`, robustly
+    ``[L, 2, 6]``; and deviations of what is left: shared by a person's views, and from the front
+    and from the side beyond that ``[L, 3]``."""
+    people = np.array([person for person, _, _ in seen])
+    terms, off, turned = [], [], []
+    for person, camera, landmarks in seen:
+        at, away_m = camera.project(places[person])
+        off.append((landmarks[:, :2] - at) * away_m[:, None] / camera.intrinsics[0, 0])
+        x, y, z = camera.centre_m / np.linalg.norm(camera.centre_m)
+        terms.append(view_terms(float(np.arctan2(x, z)), float(np.arcsin(y))))
+        turned.append(abs(np.arctan2(x, z)) > 0.35)
+    basis, apart, side = np.array(terms), np.array(off), np.array(turned)
+    share, bias = np.ones(apart.shape[:2]), np.zeros((LANDMARKS, 2, basis.shape[1]))
+    rest = apart
+    for _ in range(4):
+        for number in range(LANDMARKS):
+            weighted = share[:, number, None] * basis
+            system = weighted.T @ basis + 1e-3 * np.eye(basis.shape[1])
+            bias[number] = np.linalg.solve(system, weighted.T @ apart[:, number]).T
+        rest = apart - np.einsum("lck,nk->nlc", bias, basis)
+        share = 1 / (1 + (np.linalg.norm(rest, axis=2) / 0.004) ** 2) ** 2
+    mine = np.array([np.median(rest[people == person], axis=0) for person in people])
+    deviation = [
+        1.48 * np.median(np.abs(each), axis=(0, 2))
+        for each in (mine, (rest - mine)[~side], (rest - mine)[side])
+    ]
+    return bias, np.stack(deviation, 1)
 
 
 def nearest(surface: trimesh.Trimesh, points: Array) -> tuple[IntArray, Float64Array, Float64Array]:
