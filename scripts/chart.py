@@ -22,7 +22,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from statistics import mean
+from statistics import mean, median
 from typing import Any
 
 import matplotlib
@@ -318,6 +318,30 @@ def chart_tables() -> None:
         "M parameters": "{size:.2f}",
     }
     fill_in("tables", table(rows, columns), source_line(lines[0]))
+
+
+def chart_failures() -> None:
+    """Fill in what models do of spoilt captures: medians over seeds, the lowest and the highest."""
+    line = read_lines("failures")[-1]
+    found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for row in line["result"]["rows"]:
+        found[row["condition"]][row["model"]].append(row["mse"])
+        if row["condition"] == "right data":
+            found["near views"][row["model"]].append(row["near"])
+            found["6 σ: mm moved"][row["model"]].append(row["moved_mm"])
+
+    def cell(model: str) -> Column:
+        def shown(row: Row) -> str | None:
+            if values := row["models"].get(model):
+                return "/".join(f"{each(values):.0f}" for each in (min, median, max))
+            return None
+
+        return shown
+
+    rows = [{"condition": name, "models": each} for name, each in found.items()]
+    columns: dict[str, Column] = {"condition": "condition"}
+    columns |= {model: cell(model) for model in ("full", "baseline", "linear")}
+    fill_in("failures", table(rows, columns), source_line(line))
 
 
 CHARTS: dict[str, Callable[[], None]] = {
