@@ -44,9 +44,9 @@ HAIR_AT = (-0.95, -0.2)
 """Where, on `hair_coverage`'s scale, a photo's skin ends: under hair it shows hair."""
 CLOTHES_Y_M = (-0.105, -0.122)
 """Heights between which a photo's skin ends: below it shows clothes."""
-BROWS, ABOVE_M, NECK_Y_M, FRINGE_TEXELS = [105, 334], 0.006, -0.085, 20.0
+BROWS, ABOVE_M, NECK_Y_M, FRINGE_EDGES = [105, 334], 0.006, -0.085, 12
 """Landmarks on the upper edges of the brows, so far above which the forehead begins; where the neck
-does, and how far hair or clothes on them reach."""
+does, and how many edges of the mesh hair or clothes on them reach."""
 IRIS_RING = (0.45, 0.85)
 """Part of the iris between pupil and edge, of its radius."""
 COMPARED, FACE, UNLIKE = 256, 170, 0.8
@@ -220,11 +220,11 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     skin = np.median(albedo[(alpha > 0.5) & (np.abs(height + 0.02) < 0.03)], axis=0)
     albedo[alpha < 0.02] = skin
     # A fringe on the forehead is hair, wherever the hairline is; a collar is no skin.
-    unlike = np.zeros(flat.seen.shape)
-    unlike[flat.seen] = np.abs(np.log(np.maximum(albedo, 1e-3)) - np.log(skin)).mean(1) > LIKE_HAIR
+    unlike = np.abs(np.log(np.maximum(albedo, 1e-3)) - np.log(skin)).mean(1) > LIKE_HAIR
     forehead = landmark_places().at(found.coefficients)[BROWS, 1].max() + ABOVE_M
-    unlike[flat.seen] *= (height > forehead) | (height < NECK_Y_M)
-    above = np.maximum(above, np.clip(4 * gaussian_filter(unlike, FRINGE_TEXELS)[flat.seen], 0, 1))
+    unlike &= (height > forehead) | (height < NECK_Y_M)
+    reached = flat.soften(unlike.astype(np.float64), FRINGE_EDGES)
+    above = np.maximum(above, np.clip(4 * reached, 0, 1))
     worn = wear(model, rest_m, flat, albedo, alpha * (1 - above))
     scalp = (coverage > 0.3) & (coverage < 0.95) & (alpha > 0.3)
     style, hair = "short", None

@@ -13,7 +13,7 @@ from typing import Any
 
 import moderngl
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt
 
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.me.face import TEXTURE_SIZE, OwnHead, chart_uv, landmark_places
@@ -62,6 +62,15 @@ class Unwrapped:
     def at(self, values: FloatArray | Float64Array) -> Float64Array:
         """Values of vertices ``[P, ...]`` at the texels. ``[T, ...]``."""
         return np.einsum("tk,tk...->t...", self.weights, values[self.faces])
+
+    def soften(self, values: Float64Array, rounds: int) -> Float64Array:
+        """Mix values of texels ``[T]`` with those around them, one edge of the mesh farther each
+        round, also across the seams of the chart."""
+        corners, weights = self.faces.ravel(), self.weights.ravel()
+        share = np.maximum(np.bincount(corners, weights), 1e-9)
+        for _ in range(rounds):
+            values = self.at(np.bincount(corners, weights * np.repeat(values, 3)) / share)
+        return values
 
 
 def unwrap(model: FaceModel, size: int | None = None) -> Unwrapped:
@@ -160,7 +169,8 @@ NEAR_M = (0.0015, 0.005)
 """Distance of the scan at which a texel is opaque, and not at all."""
 LID_EDGE_M = (0.0012, 0.0030)
 """Distance to the eye opening over which the scan's colours begin."""
-FEATHER_TEXELS = 4.0
+FEATHER_EDGES = 3
+"""Edges of the mesh over which colours pass into proposed ones."""
 IRIS_M = (0.0022, 0.0050)
 """Radii of the ring in which the iris is looked for."""
 LIKE_SKIN, LIKE_HAIR = 0.35, 0.45
@@ -271,12 +281,7 @@ def wear(
     look, tone = skin_colours(colours, inner & (alpha > 0.5), places, lips, features)
     texture = np.zeros((*flat.seen.shape, 4), np.uint8)
     texture[flat.seen, :3] = np.rint(255 * np.clip(colours, 0, 1) ** (1 / 2.2))
-    opaque = np.zeros(flat.seen.shape)
-    opaque[flat.seen] = alpha
-    # Not over the edges of islands, where nothing lies beside.
-    share = gaussian_filter(flat.seen.astype(np.float64), FEATHER_TEXELS)
-    soft = gaussian_filter(opaque, FEATHER_TEXELS) / np.maximum(share, 1e-6)
-    texture[..., 3] = np.rint(255 * np.minimum(opaque, soft))
+    texture[flat.seen, 3] = np.rint(255 * np.minimum(alpha, flat.soften(alpha, FEATHER_EDGES)))
     # What filters reach beyond the edges is as the edge.
     row, column = distance_transform_edt(~flat.seen, return_distances=False, return_indices=True)
     return Worn(rest_m=rest_m, alpha=alpha, texture=texture[row, column], look=look, tone=tone)
