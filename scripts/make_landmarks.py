@@ -1,6 +1,6 @@
 """Find where on the face model the 478 landmarks lie: `pica_core/capture/me/landmarks.npz`.
 
-    python scripts/make_landmarks.py            # ten minutes of a core; needs `pica webcam setup`
+    python scripts/make_landmarks.py         # some minutes of a core; needs `pica webcam setup`
 
 People of the face model, with eyes open and lips closed, are drawn from several sides. The networks
 find their landmarks in each picture, and the depth of the picture gives the place on the model's
@@ -21,26 +21,28 @@ from PIL import Image
 from scipy.spatial import KDTree
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.camera import Camera, aimed_camera
+from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.me.face import LANDMARKS, TABLE
 from pica_core.capture.me.photos import view_terms
 from pica_core.capture.person.choices import draw_person, read_model
 from pica_core.capture.person.subject import PersonSubject
-from pica_core.face_networks import load_networks
+from pica_core.face_networks import load_networks, region_of
 from pica_core.types import Array, Float64Array, FloatArray, IntArray
 
 VIEWS = [(a, e) for a in (-48, -32, -16, 0, 16, 32, 48) for e in (-14, 0, 14)]
 PLACED = 32
 """Degrees up to which the outline of a picture is not yet that of the cheek."""
 SIDE = 640
+MIDDLE_M, DISTANCE_M = np.array([0, -0.02, 0.03]), (0.45, 0.9)
+"""Of the face, and of cameras from it, as of phones."""
 SURE, CANDIDATES = 0.9, 24
 
 
 def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--people", type=int, default=24)
+    parser.add_argument("--people", type=int, default=30)
     parser.add_argument("--networks", type=Path, default=None, help="face_landmarker.task")
     options = parser.parse_args()
     networks, mean = load_networks(options.networks), read_model().mean
@@ -49,19 +51,21 @@ def main() -> None:
     shapes: list[Float64Array] = []
     found = np.full((options.people, len(VIEWS), LANDMARKS, 3), np.nan)
     for seed in range(options.people):
-        subject = PersonSubject(
-            draw_person(1000 + seed, hair="short"), bake_size=1024, self_shadow=False
-        )
+        subject = PersonSubject(draw_person(1000 + seed), bake_size=1024, self_shadow=False)
         rest = subject.head.mesh.rest_m[: len(mean.rest_m)]
         shapes.append(rest.astype(np.float64))
         surface = trimesh.Trimesh(rest, mean.faces[outer], process=False)
         subject.pose(np.zeros(NUM_ARKIT))
-        for number, (azimuth, elevation) in enumerate(VIEWS):
-            camera = aimed_camera("", azimuth, elevation, "head", width=SIDE, height=SIDE)
+        random = np.random.default_rng(seed)
+        for number, view_deg in enumerate(VIEWS):
+            azimuth, elevation = random.uniform(-5, 5, 2) + np.array(view_deg)
+            camera = view_from(azimuth, elevation, random.uniform(*DISTANCE_M))
             view = subject.draw(camera)
             picture = Image.fromarray(view.image)
             for region in networks.detect(picture)[:1]:
                 landmarks, sure = networks.landmarks(picture, region)
+                for _ in range(2):  # as photos are read
+                    landmarks, sure = networks.landmarks(picture, region_of(landmarks))
                 if sure < SURE:
                     continue
                 seen.append((seed, camera, landmarks))
@@ -88,6 +92,20 @@ def main() -> None:
     )  # fmt: skip
     for name, some in (("all", slice(None)), ("best half", np.argsort(spread)[:239])):
         print(f"{name}: median spread {1000 * np.median(spread[some]):.2f} mm", file=sys.stderr)
+
+
+def view_from(azimuth_deg: float, elevation_deg: float, away_m: float) -> Camera:
+    """A camera that looks at the face from there, and shows as much of it from afar."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    level = np.cos(elevation)
+    away = level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)
+    return look_at(
+        centre_m=MIDDLE_M + away_m * np.array(away),
+        target_m=MIDDLE_M,
+        vertical_fov=2 * np.arctan(0.19 / away_m),
+        width=SIDE,
+        height=SIDE,
+    )
 
 
 def view_errors(
