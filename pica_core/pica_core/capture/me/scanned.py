@@ -66,8 +66,9 @@ class Unwrapped:
     def soften(self, values: Float64Array, rounds: int) -> Float64Array:
         """Mix values of texels ``[T]`` with those around them, one edge of the mesh farther each
         round, also across the seams of the chart."""
-        corners, weights = self.faces.ravel(), self.weights.ravel()
-        share = np.maximum(np.bincount(corners, weights), 1e-9)
+        corners = self.faces.ravel()
+        weights = self.weights.ravel().clip(1e-6)  # GL leaves some a little below 0
+        share = np.maximum(np.bincount(corners, weights), 1e-6)
         for _ in range(rounds):
             values = self.at(np.bincount(corners, weights * np.repeat(values, 3)) / share)
         return values

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial import KDTree
 
 from helpers.face_networks import face_networks
 from helpers.small_capture import small_subject
@@ -16,7 +17,7 @@ from pica_core.capture.me.face import head_faces
 from pica_core.capture.me.register import Registered, register
 from pica_core.capture.me.report import report_scan
 from pica_core.capture.me.scan import read_scan
-from pica_core.capture.me.scanned import head_of_scan
+from pica_core.capture.me.scanned import head_of_scan, unwrap
 from pica_core.capture.person.choices import read_model
 from pica_core.capture.triangles import nearest, samples
 from pica_core.errors import CaptureError
@@ -78,6 +79,20 @@ def test_what_has_no_face_is_refused(tmp_path: Path, networks: FaceNetworks) -> 
 
 
 @pytest.mark.slow
+def test_colours_pass_across_the_seams_of_the_chart() -> None:
+    model = read_model()
+    flat = unwrap(model, 256)
+    row, column = np.nonzero(flat.seen)
+    upper_left = ((row < 128) & (column < 80)).astype(np.float64)  # most of the face, cut off
+    soft = flat.soften(upper_left, 8)
+    near = KDTree(flat.at(model.mean.rest_m)).query_pairs(0.001, output_type="ndarray")
+    apart = np.hypot(*(each[near[:, 0]] - each[near[:, 1]] for each in (row, column))) > 40
+    cut = apart & (np.abs(np.diff(upper_left[near]))[:, 0] == 1)
+    assert cut.sum() > 20
+    assert np.median(np.abs(np.diff(soft[near[cut]]))) < 0.2
+    assert flat.soften(np.ones(len(row)), 8) == pytest.approx(1)
+
+
 def test_a_scan_in_millimetres_on_its_back_with_holes_gives_the_persons_shape(
     tmp_path: Path, networks: FaceNetworks
 ) -> None:
