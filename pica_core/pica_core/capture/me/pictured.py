@@ -16,7 +16,6 @@ from pica_core.capture.me.face import OwnHead, head_faces, landmark_places
 from pica_core.capture.me.photos import Photo, Tell, fit_landmarks
 from pica_core.capture.me.scan import MeshViews, Scan
 from pica_core.capture.me.scanned import (
-    LIKE_HAIR,
     Unwrapped,
     iris_colour,
     linear,
@@ -47,6 +46,9 @@ CLOTHES_Y_M = (-0.105, -0.122)
 BROWS, ABOVE_M, NECK_Y_M, FRINGE_EDGES = [105, 334], 0.006, -0.085, 12
 """Landmarks on the upper edges of the brows, so far above which the forehead begins; where the neck
 does, and how many edges of the mesh hair or clothes on them reach."""
+LIKE_FRINGE, LIKE_SCALP = 0.25, 0.12
+"""Difference of log colours from skin above which a forehead has a fringe, and below which a scalp
+is bald: fair hair is like skin, and hair is easier missed than taken off (`--hair bald`)."""
 IRIS_RING = (0.45, 0.85)
 """Part of the iris between pupil and edge, of its radius."""
 COMPARED, FACE, UNLIKE = 256, 170, 0.8
@@ -220,7 +222,7 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     skin = np.median(albedo[(alpha > 0.5) & (np.abs(height + 0.02) < 0.03)], axis=0)
     albedo[alpha < 0.02] = skin
     # A fringe on the forehead is hair, wherever the hairline is; a collar is no skin.
-    unlike = np.abs(np.log(np.maximum(albedo, 1e-3)) - np.log(skin)).mean(1) > LIKE_HAIR
+    unlike = np.abs(np.log(np.maximum(albedo, 1e-3)) - np.log(skin)).mean(1) > LIKE_FRINGE
     forehead = landmark_places().at(found.coefficients)[BROWS, 1].max() + ABOVE_M
     unlike &= (height > forehead) | (height < NECK_Y_M)
     reached = flat.soften(unlike.astype(np.float64), FRINGE_EDGES)
@@ -231,7 +233,7 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     guessed: tuple[str, ...] = ("back of the head", "hair: style and volume")
     if scalp.sum() > 200:
         hair = np.clip(np.median(albedo[scalp], axis=0), 0.003, 0.6)
-        if np.abs(np.log(hair) - np.log(worn.skin)).mean() < LIKE_HAIR:
+        if np.abs(np.log(hair) - np.log(worn.skin)).mean() < LIKE_SCALP:
             style, hair = "bald", None
             worn = wear(model, rest_m, flat, albedo, alpha)
     else:
