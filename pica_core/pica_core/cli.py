@@ -245,7 +245,7 @@ class MeChoices(LookChoices):
 
 AGREES = "Is this you, or does the person agree that an avatar is made of them? [y/N] "
 MADE_OF, REPORT = "made_of.json", "report.html"
-"""What a head was made of: a folder keeps to one."""
+"""What a head was made of, as a folder keeps to one; and its page of pictures."""
 
 
 def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.call
 
 @asynccontextmanager
 async def answering(answer: bytes) -> AsyncIterator[tuple[int, list[bytes]]]:
-    """The port of somebody who answers all with that, {port} in it filled in, and what came."""
+    """The port of a server that answers all with that, {port} in it filled in, and what came."""
     requests: list[bytes] = []
 
     async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -113,12 +113,18 @@ class Places:
 
 
 @functools.cache
+def landmark_table() -> dict[str, Array]:
+    """What is known of the 478 landmarks of the face networks, see `scripts/make_landmarks.py`."""
+    with np.load(TABLE) as stored:
+        vertices = stored["vertices"]
+        return {name: stored[name].astype(np.float64) for name in stored} | {"vertices": vertices}
+
+
+@functools.cache
 def landmark_places() -> Places:
     """The 478 landmarks of the face networks on the full model."""
-    model = read_model()
-    with np.load(TABLE) as stored:
-        vertices, weights = stored["vertices"], stored["weights"].astype(np.float64)
-        spread_m = stored["spread_m"].astype(np.float64)
+    model, table = read_model(), landmark_table()
+    vertices, weights, spread_m = (table[each] for each in ("vertices", "weights", "spread_m"))
 
     def between(values: Array) -> Float64Array:
         corners = values[..., vertices, :].astype(np.float64)

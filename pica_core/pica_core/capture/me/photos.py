@@ -9,7 +9,7 @@ from PIL import Image, ImageOps
 from scipy.ndimage import gaussian_filter
 
 from pica_core.camera import Camera, look_at
-from pica_core.capture.me.face import TABLE, align, landmark_places
+from pica_core.capture.me.face import align, landmark_places, landmark_table
 from pica_core.capture.me.solve import Sight, Solution, Spots, solve, spots_on
 from pica_core.capture.person.choices import NUM_MODES, FaceModel, read_model
 from pica_core.errors import CaptureError
@@ -169,11 +169,9 @@ def sharpness(image: ByteArray, low: FloatArray, high: FloatArray) -> float:
 def landmark_spots(model: FaceModel) -> Spots:
     """The 478 landmarks of the face networks; their offsets are those that a person's landmarks
     have from all sides."""
-    with np.load(TABLE) as stored:
-        vertices, weights = stored["vertices"], stored["weights"].astype(np.float64)
-        shared_m = stored["noise_mm"][:, 0].astype(np.float64) / 1000
-    precision = np.maximum(shared_m, LEAST_M) ** -2
-    return spots_on(model, vertices, weights, precision[:, None, None] * np.eye(3))
+    table = landmark_table()
+    precision = np.maximum(table["noise_mm"][:, 0] / 1000, LEAST_M)[:, None, None] ** -2 * np.eye(3)
+    return spots_on(model, table["vertices"], table["weights"], precision)
 
 
 def first_guess(photos: list[Photo]) -> tuple[Solution, list[tuple[float, float]]]:
@@ -210,9 +208,9 @@ def first_guess(photos: list[Photo]) -> tuple[Solution, list[tuple[float, float]
 
 def landmark_sight(photo: Photo, camera: Camera) -> Sight:
     """What landmarks say, without what the networks put off in such a view."""
-    with np.load(TABLE) as stored:
-        bias_m = stored["view_bias_mm"].astype(np.float64) / 1000
-        near_m, far_m = stored["noise_mm"][:, 1:].astype(np.float64).T / 1000
+    table = landmark_table()
+    bias_m = table["view_bias_mm"] / 1000
+    near_m, far_m = table["noise_mm"][:, 1:].T / 1000
     away = camera.centre_m / np.linalg.norm(camera.centre_m)
     azimuth, elevation = np.clip([np.arctan2(away[0], away[2]), np.arcsin(away[1])], -0.9, 0.9)
     level = look_at(centre_m=away, target_m=np.zeros(3), vertical_fov=1.0, width=2, height=2)

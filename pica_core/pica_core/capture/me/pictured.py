@@ -161,9 +161,9 @@ class Fitted:
 
 def fit_photos(photos: list[Photo], tell: Tell) -> Fitted:
     """Fit cameras, identity and expressions; photos that disagree with the others are left out."""
-    found, spots = fit_landmarks(photos)
+    (found, spots), model = fit_landmarks(photos), read_model()
     if len(photos) > 2:
-        likeness = alike(lay_all(photos, found, read_model(), unwrap(read_model(), COMPARED)))
+        likeness = alike(lay_all(photos, found, model, unwrap(model, COMPARED)))
         keep = likeness > UNLIKE * np.median(likeness)
         for photo, kept in zip(photos, keep, strict=True):
             if not kept:
@@ -209,9 +209,9 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
         chosen: Fields of `Person` that the user names.
         source: What the head was made of.
     """
-    photos, found, flat = fitted.photos, fitted.solution, unwrap(read_model())
-    all_laid = lay_all(photos, found, read_model(), flat)
-    model = read_model()
+    photos, found, model = fitted.photos, fitted.solution, read_model()
+    flat = unwrap(model)
+    all_laid = lay_all(photos, found, model, flat)
     rest_m = model.shaped(found.shape(model)).rest_m
     colours, alpha = blend(all_laid, flat)
     albedo = unlit(linear(colours))
