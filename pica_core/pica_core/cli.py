@@ -21,7 +21,7 @@ from pica_core.capture.person.choices import NAMED, Person, draw_person, read_pe
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.subject import RigSubject, Subject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
-from pica_core.errors import CaptureError
+from pica_core.errors import CaptureError, check_ranges
 from pica_core.face_networks import FaceNetworks, load_networks
 from pica_core.reference import count_parameters
 
@@ -237,12 +237,17 @@ class MeChoices(LookChoices):
     """A folder of photos of the person, about twelve: JPEG, PNG, WebP or TIFF."""
     video: Path | None = None
     """A film of the person who turns the head, 2 to 120 seconds."""
+    pupillary_distance_mm: float | None = None
+    """Distance of the pupils (PD), 40 to 80, as on a prescription of glasses: sizes a head of
+    photos or of a film."""
     texture: Path | None = None
     """An image to use instead of the scan's own."""
     yes: bool = False
     """The person agrees that an avatar is made of them; without it, you are asked."""
 
 
+PUPILS_MM = (40.0, 80.0)
+"""Distances of pupils: adults have 52 to 78 (Dodgson 2004), children from 40."""
 AGREES = "Is this you, or does the person agree that an avatar is made of them? [y/N] "
 MADE_OF, REPORT = "made_of.json", "report.html"
 """What a head was made of, as a folder keeps to one; and its page of pictures."""
@@ -263,6 +268,9 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     sources = [each for each in (choices.scan, choices.photos, choices.video) if each is not None]
     if len(sources) != 1:
         raise CaptureError("name what to make the head of: one of --scan, --photos, --video")
+    check_ranges(choices, CaptureError, pupillary_distance_mm=PUPILS_MM)
+    if choices.scan is not None and choices.pupillary_distance_mm is not None:
+        raise CaptureError("--pupillary-distance-mm belongs to --photos and --video")
     if choices.texture is not None and choices.scan is None:
         raise CaptureError(f"{choices.texture}: --texture belongs to --scan")
     if choices.photos is not None:
@@ -270,7 +278,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     else:
         files = [each for each in (sources[0], choices.texture) if each is not None]
     digests = [hashlib.sha256(read_bytes(each)).hexdigest() for each in files]
-    asked = {"of": digests, "chosen": choices.chosen()}
+    pupils_mm = choices.pupillary_distance_mm
+    asked = {"of": digests, "chosen": choices.chosen(), "pupillary_distance_mm": pupils_mm}
     if path.exists():
         if read_json(folder / MADE_OF) != asked:
             raise CaptureError(f"{folder}: holds a head of something else; name another folder")
@@ -278,7 +287,7 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     networks = load_networks()
     console.print(f"Everything stays on this machine, in {folder}.", highlight=False)
     make = _of_scan if choices.scan is not None else _of_photos
-    head, report = make(choices, networks, console)
+    head, report = make(choices, files, networks, console)
     console.print(f"proposed, since it was not seen: {'; '.join(head.guessed)}", highlight=False)
     folder.mkdir(parents=True, exist_ok=True)
     write_aside(folder / MADE_OF, json.dumps(asked).encode())
@@ -295,15 +304,14 @@ def _agree(choices: MeChoices) -> None:
 
 
 def _of_scan(
-    choices: MeChoices, networks: FaceNetworks, console: Console
+    choices: MeChoices, files: list[Path], networks: FaceNetworks, console: Console
 ) -> tuple["OwnHead", Callable[[Path], None]]:
     from pica_core.capture.me.register import register
     from pica_core.capture.me.report import report_scan
     from pica_core.capture.me.scan import read_scan
     from pica_core.capture.me.scanned import head_of_scan
 
-    assert choices.scan is not None
-    scan = read_scan(choices.scan, choices.texture)
+    scan = read_scan(*files)
     _agree(choices)
     found = register(scan, networks)
     unit = found.unit or f"1/{found.face.pose.scale:.4g} m (no usual unit: sized as a face is)"
@@ -319,7 +327,7 @@ def _of_scan(
 
 
 def _of_photos(
-    choices: MeChoices, networks: FaceNetworks, console: Console
+    choices: MeChoices, files: list[Path], networks: FaceNetworks, console: Console
 ) -> tuple["OwnHead", Callable[[Path], None]]:
     from pica_core.capture.me.film import choose_frames
     from pica_core.capture.me.photos import read_photos
@@ -330,12 +338,12 @@ def _of_photos(
         console.print(line, highlight=False, markup=False)
 
     if choices.photos is not None:
-        photos, source = read_photos(choices.photos, networks, tell), "photos"
+        photos, source = read_photos(files, networks, tell), "photos"
     else:
-        assert choices.video is not None
-        photos, source = choose_frames(choices.video, networks, tell), "a video"
+        photos, source = choose_frames(files[0], networks, tell), "a video"
     _agree(choices)
-    found = fit_photos(photos, tell)
+    pupils_mm = choices.pupillary_distance_mm
+    found = fit_photos(photos, tell, pupils_mm and pupils_mm / 1000)
     head = head_of_photos(found, choices.chosen(), source)
     return head, lambda path: report_photos(path, found, head)
 

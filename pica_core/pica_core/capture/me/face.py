@@ -120,20 +120,21 @@ def landmark_table() -> dict[str, Array]:
         return {name: stored[name].astype(np.float64) for name in stored} | {"vertices": vertices}
 
 
+def landmark_values(values: Array) -> Float64Array:
+    """Values of the full model's vertices ``[..., P, C]`` at the landmarks. ``[..., 478, C]``."""
+    table = landmark_table()
+    corners = values[..., table["vertices"], :].astype(np.float64)
+    return np.einsum("nk,...nkc->...nc", table["weights"], corners)
+
+
 @functools.cache
 def landmark_places() -> Places:
     """The 478 landmarks of the face networks on the full model."""
-    model, table = read_model(), landmark_table()
-    vertices, weights, spread_m = (table[each] for each in ("vertices", "weights", "spread_m"))
-
-    def between(values: Array) -> Float64Array:
-        corners = values[..., vertices, :].astype(np.float64)
-        return np.einsum("nk,...nkc->...nc", weights, corners)
-
+    model = read_model()
     return Places(
-        mean_m=between(model.mean.rest_m),
-        identity_m=between(model.modes_m),
-        noise_m=np.maximum(spread_m, SPREAD_FLOOR_M),
+        mean_m=landmark_values(model.mean.rest_m),
+        identity_m=landmark_values(model.modes_m),
+        noise_m=np.maximum(landmark_table()["spread_m"], SPREAD_FLOOR_M),
     )
 
 

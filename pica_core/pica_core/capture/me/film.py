@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pica_core.capture.me.face import align, landmark_places
 from pica_core.capture.me.photos import SIDE, Photo, Tell, photo_of
 from pica_core.errors import CaptureError
 from pica_core.face_networks import FaceNetworks
@@ -57,9 +56,7 @@ def spread_out(views: Float64Array, sharp: Float64Array) -> list[int]:
 
 def _view(photo: Photo) -> Float64Array:
     """Azimuth and elevation from which a photo was taken, about, radians."""
-    weights = np.ones(len(photo.landmarks))
-    pose = align(landmark_places().mean_m, photo.landmarks.astype(np.float64), weights)
-    away = -pose.rotation[2]
+    away = -photo.pose.rotation[2]
     return np.array([np.arctan2(away[0], away[2]), np.arcsin(np.clip(away[1], -1, 1))])
 
 

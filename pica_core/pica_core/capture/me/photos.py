@@ -9,9 +9,16 @@ from PIL import Image, ImageOps
 from scipy.ndimage import gaussian_filter
 
 from pica_core.camera import Camera, look_at
-from pica_core.capture.me.face import align, landmark_places, landmark_table
-from pica_core.capture.me.solve import Sight, Solution, Spots, solve, spots_on
+from pica_core.capture.me.face import (
+    Similarity,
+    align,
+    landmark_places,
+    landmark_table,
+    landmark_values,
+)
+from pica_core.capture.me.solve import Sight, Solution, Spots, solve
 from pica_core.capture.person.choices import NUM_MODES, FaceModel, read_model
+from pica_core.capture.rig.mesh import fit_sphere
 from pica_core.errors import CaptureError
 from pica_core.face_networks import NUM_LANDMARKS, FaceNetworks, region_of
 from pica_core.types import ByteArray, Float64Array, FloatArray
@@ -43,6 +50,7 @@ class Photo:
         image: sRGB, upright. uint8 ``[H, W, 3]``.
         landmarks: Columns, rows and depths in pixels. ``[478, 3]``.
         focal_px: As its file says, 0 where it does not.
+        pose: From an average face to the landmarks, about.
         lens: What photos of one lens share.
         sharp: See `sharpness`.
     """
@@ -51,6 +59,7 @@ class Photo:
     image: ByteArray
     landmarks: FloatArray
     focal_px: float
+    pose: Similarity
     lens: tuple[object, ...]
     sharp: float
 
@@ -71,20 +80,20 @@ def photo_paths(folder: Path) -> list[Path]:
     return paths
 
 
-def read_photos(folder: Path, networks: FaceNetworks, tell: Tell) -> list[Photo]:
-    """Read all photos of a folder; what is of no use is told and left out.
+def read_photos(paths: list[Path], networks: FaceNetworks, tell: Tell) -> list[Photo]:
+    """Read photos; what is of no use is told and left out.
 
     Raises:
         CaptureError: None is of use.
     """
     photos: list[Photo] = []
-    for path in photo_paths(folder):
+    for path in paths:
         try:
             photos.append(read_photo(path, networks))
         except CaptureError as error:
             tell(f"left out: {error}")
     if not photos:
-        raise CaptureError(f"{folder}: no photo is of use; each line above says why")
+        raise CaptureError(f"{paths[0].parent}: no photo is of use; each line above says why")
     return photos
 
 
@@ -142,7 +151,8 @@ def photo_of(
         )
     if (low < 0).any() or (high > picture.size).any():
         raise CaptureError(f"{where}: the face is cut off; show all of it, with the forehead")
-    pose = align(landmark_places().mean_m, landmarks.astype(np.float64), np.ones(len(landmarks)))
+    places = landmark_places()
+    pose = align(places.mean_m, landmarks.astype(np.float64), places.noise_m**-2)
     if -pose.rotation[2, 2] < np.cos(np.radians(MOST_TURNED)):
         raise CaptureError(f"{where}: a profile; turn to the camera, up to 45 degrees off")
     image = np.asarray(picture)
@@ -152,7 +162,7 @@ def photo_of(
     return Photo(
         name=name, image=image, landmarks=landmarks,
         focal_px=film_mm / DIAGONAL_MM * float(np.hypot(*picture.size)),
-        lens=(model, film_mm, tuple(sorted(picture.size))), sharp=sharp,
+        pose=pose, lens=(model, film_mm, tuple(sorted(picture.size))), sharp=sharp,
     )  # fmt: skip
 
 
@@ -169,22 +179,40 @@ def sharpness(image: ByteArray, low: FloatArray, high: FloatArray) -> float:
 def landmark_spots(model: FaceModel) -> Spots:
     """The 478 landmarks of the face networks; their offsets are those that a person's landmarks
     have from all sides."""
-    table = landmark_table()
+    table, places = landmark_table(), landmark_places()
     precision = np.maximum(table["noise_mm"][:, 0] / 1000, LEAST_M)[:, None, None] ** -2 * np.eye(3)
-    return spots_on(model, table["vertices"], table["weights"], precision)
+    return Spots(
+        mean_m=places.mean_m,
+        identity_m=places.identity_m.transpose(1, 2, 0),
+        motion_m=landmark_values(model.mean.motion_m).transpose(1, 2, 0),
+        offset_precision=precision,
+    )
+
+
+def size_of(pupils_m: float) -> tuple[Float64Array, float]:
+    """The size of a head whose pupils are so far apart when it looks far, as `solve` has it."""
+    model = read_model()
+
+    def apart(rest: Float64Array) -> float:
+        left, right = (fit_sphere(rest[eye.vertices])[0] for eye in model.mean.eyes)
+        return float(np.linalg.norm(left - right))
+
+    usual = apart(model.mean.rest_m)
+    grows = np.array([apart(model.mean.rest_m + mode) - usual for mode in model.modes_m])
+    length = float(np.linalg.norm(grows))
+    return grows / length, (pupils_m - usual) / length
 
 
 def first_guess(photos: list[Photo]) -> tuple[Solution, list[tuple[float, float]]]:
     """A face of average shape in each photo, and what is known of the lenses."""
     lenses = list(dict.fromkeys(photo.lens for photo in photos))
-    places = landmark_places()
     cameras, priors = [], [(0.0, 0.0)] * len(lenses)
     for photo in photos:
         height, width = photo.image.shape[:2]
         usual = PHONE_FOCAL_MM / DIAGONAL_MM * float(np.hypot(height, width))
         focal = photo.focal_px or usual
         priors[lenses.index(photo.lens)] = (focal, KNOWN if photo.focal_px else UNKNOWN)
-        pose = align(places.mean_m, photo.landmarks.astype(np.float64), places.noise_m**-2)
+        pose = photo.pose
         middle = np.array([width / 2, height / 2, 0.0])
         cameras.append(
             Camera(
@@ -230,12 +258,13 @@ def view_terms(azimuth: float, elevation: float) -> Float64Array:
     return np.array([1.0, a, a * a, e, a**3, a * e])
 
 
-def fit_landmarks(photos: list[Photo]) -> tuple[Solution, Spots]:
+def fit_landmarks(photos: list[Photo], pupils_m: float | None) -> tuple[Solution, Spots]:
     """Fit cameras, identity and expressions to landmarks, twice, since what is known of landmarks
     depends on the view."""
+    size = None if pupils_m is None else size_of(pupils_m)
     found, priors = first_guess(photos)
     spots = landmark_spots(read_model())
     for rounds in (5, 8):
         sights = [landmark_sight(*pair) for pair in zip(photos, found.cameras, strict=True)]
-        found = solve(spots, sights, found, priors, rounds=rounds)
+        found = solve(spots, sights, found, priors, size=size, rounds=rounds)
     return found, spots

@@ -152,16 +152,22 @@ class Fitted:
 
     Attributes:
         off_px: Median distance of landmarks from the model's.
+        is_sized: The size is known, not the usual one.
     """
 
     photos: list[Photo]
     solution: Solution
     off_px: float
+    is_sized: bool
 
 
-def fit_photos(photos: list[Photo], tell: Tell) -> Fitted:
-    """Fit cameras, identity and expressions; photos that disagree with the others are left out."""
-    (found, spots), model = fit_landmarks(photos), read_model()
+def fit_photos(photos: list[Photo], tell: Tell, pupils_m: float | None = None) -> Fitted:
+    """Fit cameras, identity and expressions; photos that disagree with the others are left out.
+
+    Args:
+        pupils_m: How far apart the pupils are when the person looks far, if that is known.
+    """
+    (found, spots), model = fit_landmarks(photos, pupils_m), read_model()
     if len(photos) > 2:
         likeness = alike(lay_all(photos, found, model, unwrap(model, COMPARED)))
         keep = likeness > UNLIKE * np.median(likeness)
@@ -170,7 +176,7 @@ def fit_photos(photos: list[Photo], tell: Tell) -> Fitted:
                 tell(f"left out: {photo.name}: unlike the other photos; another person?")
         if not keep.all():
             photos = [photo for photo, kept in zip(photos, keep, strict=True) if kept]
-            found, spots = fit_landmarks(photos)
+            found, spots = fit_landmarks(photos, pupils_m)
     apart = [
         np.linalg.norm(camera.project(found.points(spots, k))[0] - photo.landmarks[:, :2], axis=1)
         for k, (camera, photo) in enumerate(zip(found.cameras, photos, strict=True))
@@ -179,7 +185,7 @@ def fit_photos(photos: list[Photo], tell: Tell) -> Fitted:
     tell(f"{len(photos)} photos fitted; landmarks lie {off_px:.1f} px off in the median")
     if found.spread[:20].mean() > VAGUE:
         tell("the shape is mostly an average one: more photos from other sides make it yours")
-    return Fitted(photos=photos, solution=found, off_px=off_px)
+    return Fitted(photos=photos, solution=found, off_px=off_px, is_sized=pupils_m is not None)
 
 
 def alike(all_laid: list[Laid]) -> Float64Array:

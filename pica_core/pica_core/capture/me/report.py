@@ -23,6 +23,8 @@ AZIMUTHS, SIDE = (0.0, 40.0, 80.0), 400
 MOST_SHOWN = 12
 WORST_M = 0.003
 """Distance that is drawn as red as any."""
+SIZED = "The size is that of your pupillary distance."
+USUAL = "Size cannot be seen in photos: it is an average one (--pupillary-distance-mm gives yours)."
 TEMPLATE = """<!doctype html><meta charset="utf-8"><title>{title}</title>
 <style>body{{font:16px sans-serif;margin:2em;max-width:1260px}}td{{padding:2px}}</style>
 <h1>{title}</h1><p>{told}</p><table><tr><th>{columns}</tr>
@@ -77,7 +79,7 @@ def report_photos(path: Path, found: Fitted, head: OwnHead) -> None:
             )
     told = (
         f"{len(found.photos)} photos; landmarks lie {found.off_px:.1f} px off in the median. "
-        "Size cannot be seen in photos: it is an average one."
+        f"{SIZED if found.is_sized else USUAL}"
     )
     _write(path, head, told, "photo<th>both<th>fitted head", shown)
 

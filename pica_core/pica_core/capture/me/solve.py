@@ -29,7 +29,7 @@ EXPRESSION, CALM = 0.03, 0.01
 ROBUST = 3.0
 """Residuals so many times their noise count a quarter."""
 SIZE_KNOWN = 1e4
-"""How surely a head has the most usual size for its shape: for certain."""
+"""How surely a head has the size that is known, or the most usual one for its shape: certain."""
 POSE = 6
 _MINE = POSE + NUM_ARKIT
 
@@ -49,22 +49,6 @@ class Spots:
     identity_m: Float64Array
     motion_m: Float64Array
     offset_precision: Float64Array
-
-
-def spots_on(
-    model: FaceModel, vertices: Array, weights: Float64Array, offset_precision: Float64Array
-) -> Spots:
-    """Places in triangles: corners ``[N, 3]`` and weights ``[N, 3]``."""
-
-    def between(values: Array) -> Float64Array:
-        return np.einsum("nk,...nkc->nc...", weights, values[..., vertices, :])
-
-    return Spots(
-        mean_m=between(model.mean.rest_m),
-        identity_m=between(model.modes_m),
-        motion_m=between(model.mean.motion_m),
-        offset_precision=offset_precision,
-    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -120,6 +104,7 @@ def solve(
     start: Solution,
     focal_prior: list[tuple[float, float]],
     *,
+    size: tuple[Float64Array, float] | None = None,
     rounds: int = 12,
 ) -> Solution:
     """Find everything, from a rough start.
@@ -127,11 +112,13 @@ def solve(
     Args:
         sights: One a photo.
         focal_prior: Focal length in pixels of each lens, and the spread of its logarithm.
+        size: A unit vector in identity, and where along it coefficients lie, which says how large
+            the head is; by default as `_usual_size` has it.
     """
     found, lenses, count = start, len(focal_prior), len(sights)
     base = lenses + NUM_MODES
     total = base + _MINE * count
-    size = _size(spots)
+    along, place_along = size or (_usual_size(spots), 0.0)
     prior = np.ones(total)
     prior[:lenses] = [spread**-2 for _, spread in focal_prior]
     for k in range(count):
@@ -142,8 +129,8 @@ def solve(
             now = found.cameras[int(np.flatnonzero(found.lens == k)[0])].intrinsics[0, 0]
             right[k] = np.log(focal / now) / spread**2
         right[lenses:base] = -found.coefficients
-        system[lenses:base, lenses:base] += SIZE_KNOWN * np.outer(size, size)
-        right[lenses:base] -= SIZE_KNOWN * size * (size @ found.coefficients)
+        system[lenses:base, lenses:base] += SIZE_KNOWN * np.outer(along, along)
+        right[lenses:base] += SIZE_KNOWN * along * (place_along - along @ found.coefficients)
         off = np.einsum("ni,nij,nj->", found.offset_m, spots.offset_precision, found.offset_m)
         right[lenses:base] += off * _growth(spots, found.coefficients)
         inner = spots.offset_precision.copy()
@@ -177,7 +164,7 @@ def solve(
     return replace(found, spread=np.sqrt(np.diag(inverse)[lenses:base]))
 
 
-def _size(spots: Spots) -> Float64Array:
+def _usual_size(spots: Spots) -> Float64Array:
     """The unit vector in identity along which the mean face only grows. ``[100]``.
 
     Photos do not tell a size, and all that differs from the mean face would be less in a smaller

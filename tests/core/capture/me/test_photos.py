@@ -16,7 +16,13 @@ from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.camera import Camera, aimed_camera, look_at
 from pica_core.capture.me.face import align, read_head
 from pica_core.capture.me.film import choose_frames, spread_out
-from pica_core.capture.me.photos import landmark_spots, photo_paths, read_photo, read_photos
+from pica_core.capture.me.photos import (
+    landmark_spots,
+    photo_paths,
+    read_photo,
+    read_photos,
+    size_of,
+)
 from pica_core.capture.me.pictured import fit_photos
 from pica_core.capture.me.solve import Sight, Solution, solve
 from pica_core.capture.person.choices import NUM_MODES, read_model
@@ -65,7 +71,7 @@ def test_identity_focal_length_and_expressions_follow_from_landmarks() -> None:
     assert np.median(apart) < 0.0005 < np.median(np.linalg.norm(mean - truth[face], axis=1))
 
 
-def test_a_smaller_head_is_no_better_explanation() -> None:
+def test_a_head_has_the_usual_size_or_that_of_its_pupils() -> None:
     """What landmarks are off by would be less in a smaller head; photos do not show a size."""
     model, random = read_model(), np.random.default_rng(4)
     spots = landmark_spots(model)
@@ -82,6 +88,10 @@ def test_a_smaller_head_is_no_better_explanation() -> None:
     found = solve(spots, sights, exact, [(FOCAL, 0.04)])
     mean, shape = model.mean.rest_m[::9], found.shape(model)[::9]
     assert abs(align(mean, shape, np.ones(len(mean))).scale - 1) < 0.02
+    found = solve(spots, sights, exact, [(FOCAL, 0.04)], size=size_of(0.068))
+    left, right = (eye.centre_m for eye in model.shaped(found.shape(model)).eyes)
+    assert np.linalg.norm(left - right) == pytest.approx(0.068, abs=2e-4)
+    assert align(mean, found.shape(model)[::9], np.ones(len(mean))).scale > 1.05
 
 
 def _camera(azimuth: float, elevation: float) -> Camera:
@@ -171,7 +181,7 @@ def test_a_folder_tells_what_it_leaves_out_and_goes_on(
     (tmp_path / "torn.jpg").write_bytes(b"\xff\xd8\xff")
     (tmp_path / "phone.heic").write_bytes(b"ftypheic")
     told: list[str] = []
-    photos = read_photos(tmp_path, face_networks(), told.append)
+    photos = read_photos(photo_paths(tmp_path), face_networks(), told.append)
     assert [photo.name for photo in photos] == ["face.png"]
     assert len(told) == 3
     for line, words in zip(
@@ -192,6 +202,10 @@ def test_the_command_takes_one_kind_of_input(tmp_path: Path) -> None:
         me(MeOptions(photos=tmp_path, video=tmp_path, out=tmp_path / "capture"))
     with pytest.raises(CaptureError, match="--texture belongs to --scan"):
         me(MeOptions(photos=tmp_path, texture=tmp_path, out=tmp_path / "capture"))
+    with pytest.raises(CaptureError, match="--pupillary-distance-mm belongs to --photos"):
+        me(MeOptions(scan=tmp_path, pupillary_distance_mm=63, out=tmp_path / "capture"))
+    with pytest.raises(CaptureError, match="distance_mm is 7; 40 to 80 is allowed"):
+        me(MeOptions(photos=tmp_path, pupillary_distance_mm=7, out=tmp_path / "capture"))
 
 
 def write_film(path: Path, images: list[ByteArray], seconds: float) -> None:
@@ -243,5 +257,5 @@ def test_photos_become_a_head_with_its_report(
     page = (Path(made["head"]).parent / "report.html").read_text()
     assert page.count("data:image/jpeg") == 9
     told: list[str] = []
-    photos = read_photos(folder, face_networks(), told.append)
+    photos = read_photos(photo_paths(folder), face_networks(), told.append)
     assert fit_photos(photos, told.append).off_px < 4
