@@ -17,9 +17,9 @@ import httpx
 import numpy as np
 from PIL import Image
 
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.errors import FaceNetworksError
-from pica_core.files import FOLDERS, replacing
+from pica_core.files import FOLDERS, packaged_json, replacing
 from pica_core.types import Float64Array, FloatArray
 
 NUM_LANDMARKS: Final = 478
@@ -33,31 +33,14 @@ SAME_FACE: Final = 0.3
 OUTER_CORNERS: Final = (33, 263)
 """Landmarks: outer corner of the right eye and of the left."""
 
-_SHAPE_LANDMARKS: Final = (
-    "0-1 4-8 10 13-14 17 21 33 37 39-40 46 52-55 58 61 63 65-67 70 78 80-82 84 87-88 91 93 95 103 "
-    "105 107 109 127 132-133 136 144-146 148-150 152-155 157-163 168 172-173 176 178 181 185 191 "
-    "195 197 234 246 249 251 263 267 269-270 276 282-285 288 291 293 295-297 300 308 310-312 314 "
-    "317-318 321 323-324 332 334 336 338 356 361-362 365 373-375 377-382 384-390 397-398 400 402 "
-    "405 409 415 454 466 468-477"
-)
-"""What the third network is given, in this order."""
-BLIND: Final = ("cheekPuff", "noseSneer", "eyeWide", "tongueOut")
-"""What the networks cannot see: they say about 0, whatever the face does, and so do we."""
+TABLE: Final = packaged_json("pica_core", "face_networks.json")
+"""``shape_landmarks``: what the third network is given, in this order; ``shapes``: which shape of
+`ARKIT_NAMES` each of its answers is, -1 for the neutral face and for what the networks cannot see:
+they say about 0 of cheekPuff, noseSneer, eyeWide and tongueOut, whatever the face does, and so do
+we; ``head``: where landmarks are in a head, in units of `pica_client.sources.webcam.UNIT_M`."""
 
-
-def _expand(text: str) -> list[int]:
-    found: list[int] = []
-    for part in text.split():
-        first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    return found
-
-
-_SUBSET = np.array(_expand(_SHAPE_LANDMARKS))
-# The network names its shapes in alphabetical order, after one for the neutral face.
-_NAMED = sorted(name for name in ARKIT_INDEX if name != "tongueOut")
-_TARGETS = np.array([ARKIT_INDEX[name] for name in _NAMED])
-_SEEN = np.array([not name.startswith(BLIND) for name in _NAMED])
+_SUBSET = np.array(TABLE["shape_landmarks"])
+_SHAPES = np.array(TABLE["shapes"])
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +137,7 @@ class FaceNetworks:
         `ARKIT_NAMES` order, 0 for what the networks cannot see. float32 ``[52]``."""
         (values,) = self._shapes.run(landmarks[None, _SUBSET, :2])
         arkit = np.zeros(NUM_ARKIT, np.float32)
-        arkit[_TARGETS[_SEEN]] = np.clip(values.ravel()[1:][_SEEN], 0, 1)
+        arkit[_SHAPES[_SHAPES >= 0]] = np.clip(values.ravel()[_SHAPES >= 0], 0, 1)
         return arkit
 
 

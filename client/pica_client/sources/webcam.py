@@ -14,48 +14,16 @@ from pica_client.errors import SourceError
 from pica_client.sources.calibration import Calibration
 from pica_client.sources.live_face import TrackerSample, rotation_vector_from_quaternion
 from pica_client.sources.tracker import SampleTap, Tracker
-from pica_core.face_networks import FaceNetworks, Region, region_of
+from pica_core.face_networks import TABLE, FaceNetworks, Region, region_of
 from pica_core.types import Float64Array, FloatArray
 from pica_core.types import Image as Picture
 
-# Landmarks in the middle: height and depth; and pairs, right and left: half width, height, depth.
-_MIDDLE: Final = {
-    10: (0.678, 0.314),
-    151: (0.431, 0.366),
-    9: (0.190, 0.400),
-    8: (0.042, 0.382),
-    168: (-0.111, 0.379),
-    6: (-0.252, 0.443),
-    197: (-0.369, 0.517),
-    195: (-0.474, 0.594),
-    5: (-0.586, 0.674),
-    4: (-0.720, 0.711),
-}
-_PAIRS: Final = {
-    (109, 338): (0.319, 0.670, 0.288),
-    (67, 297): (0.592, 0.627, 0.194),
-    (54, 284): (1.002, 0.389, -0.152),
-    (21, 251): (1.104, 0.203, -0.329),
-    (103, 332): (0.839, 0.533, 0.032),
-    (33, 263): (0.752, -0.177, 0.060),
-    (133, 362): (0.288, -0.215, 0.144),
-    (127, 356): (1.173, -0.246, -0.658),
-    (234, 454): (1.168, -0.479, -0.724),
-    (93, 323): (1.157, -0.719, -0.734),
-    (162, 389): (1.154, 0.000, -0.512),
-}
-_INDICES = np.array([*_MIDDLE, *(right for right, _ in _PAIRS), *(left for _, left in _PAIRS)])
-_HEAD = np.array(
-    [
-        *((0.0, *place) for place in _MIDDLE.values()),
-        *((-x, y, z) for x, y, z in _PAIRS.values()),
-        *((x, y, z) for x, y, z in _PAIRS.values()),
-    ]
-)
+_INDICES = np.array([*map(int, TABLE["head"])])
+_HEAD = np.array([*TABLE["head"].values()])
 _HEAD -= _HEAD.mean(0)
 DEPTH_FACTOR: Final = 0.8
 UNIT_M: Final = 0.06
-"""Length of 1 in the table above: the outer corners of adults' eyes are 90 mm apart."""
+"""Length of 1 in the table: the outer corners of adults' eyes are 90 mm apart."""
 FOCAL_LENGTH: Final = 0.9
 """How long a usual webcam's is, in widths of its picture (chosen: it sees 58 degrees)."""
 
