@@ -19,6 +19,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from platformdirs import PlatformDirs
+
 from pica_protocol.errors import CloseCode
 from pica_server.config import RelayConfig
 from pica_server.limits import RefusalError
@@ -40,7 +42,11 @@ CONTENT_TYPES: Final = {
 }
 FOLDER: Final = "web/"
 """Before the names of files in the page; a version is put into it."""
+_LATER: Final = "camera face finder live_face networks worklet xr"
+"""Modules that a page asks for when they are wanted."""
 _ROOM: Final = re.compile(r"[A-Za-z0-9_.-]{0,64}")
+_WORKERS: Final = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'"
+"""What a worker may do: the one that sees a camera's pictures can send nothing."""
 _HOST: Final = re.compile(r"[A-Za-z0-9.:\[\]-]{1,255}")
 _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
@@ -183,7 +189,8 @@ def page_files() -> dict[str, str]:
         for each in resources.files("pica_server.web").iterdir()
         if each.name.rpartition(".")[2] in CONTENT_TYPES
     }
-    files |= {each.name: each.read_text("utf-8") for each in _files("pica_client", "voice/*.json")}
+    numbers = [*_files("pica_client", "voice/*.json"), *_files("pica_core", "face_networks.json")]
+    files |= {each.name: each.read_text("utf-8") for each in numbers}
     made = {"avatars": avatar_names(), "shaders": shader_texts()}
     return files | {f"{name}.json": json.dumps(value) for name, value in made.items()}
 
@@ -203,7 +210,7 @@ class WebPage:
         links = "".join(
             f'<link rel="modulepreload" href="{FOLDER}{name}" />\n'
             for name in sorted(self._files)
-            if name.endswith(".js") and name not in ("face.js", "worklet.js")
+            if name.endswith(".js") and name[:-3] not in _LATER.split()
         )
         index = self._files.pop("index.html", "").replace("</head>", f"{links}</head>")
         self._index = index.replace(f'"{FOLDER}', f'"{self._folder}')
@@ -221,7 +228,10 @@ class WebPage:
             return _page(self._index, "index.html", headers)
         name = path.removeprefix(self._folder)
         if name != path and name in self._files:
-            headers = {"Cache-Control": "public, max-age=31536000, immutable"}
+            headers = {
+                "Cache-Control": "public, max-age=31536000, immutable",
+                "Content-Security-Policy": _WORKERS,
+            }
             return _page(self._files[name], name, headers)
         return None
 
@@ -252,6 +262,12 @@ def shader_texts() -> dict[str, str]:
 def avatar_files() -> list[Path]:
     """The avatars that ship."""
     return _files("pica_core", "avatars/*.pica")
+
+
+def face_networks() -> list[Path]:
+    """What ``pica webcam setup`` has put on this machine, if it has; pages ask by its hash."""
+    folder = PlatformDirs("pica-telepresence", appauthor=False, roaming=True).user_data_path
+    return [*folder.glob("models/face_landmarker.task")]
 
 
 def avatar_names() -> dict[str, str]:

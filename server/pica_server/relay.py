@@ -26,7 +26,7 @@ from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, mo
 from pica_server.log import say
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, set_tcp_option
-from pica_server.pages import StatusPages, WebPage, avatar_files, page_files
+from pica_server.pages import StatusPages, WebPage, avatar_files, face_networks, page_files
 from pica_server.room.connections import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.store.store import AvatarStore
@@ -95,7 +95,8 @@ class Relay:
 
         self.store: AvatarStore | None = None
         if config.avatar_store != "none":
-            self.store = AvatarStore(config.avatar_store, config.store, avatar_files())
+            shipped = [*avatar_files(), *face_networks()]
+            self.store = AvatarStore(config.avatar_store, config.store, shipped)
         counts = self.hub.stats.store
         self._transfers = Transfers(
             self.store, counts, may_upload, config.handshake_timeout_s, config.origins

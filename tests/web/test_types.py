@@ -14,7 +14,10 @@ HERE = Path(__file__).parent
 WEB = ROOT / "server" / "pica_server" / "web"
 KINDS = {".js", ".ts", ".html", ".css"}
 TSC = HERE / "node_modules" / ".bin" / "tsc"
-MAX_LINES, MAX_BYTES = 5_280, 226_000
+LATER = {"camera.js", "face.js", "finder.js", "live_face.js", "networks.js", "xr.js"}
+"""What is loaded when it is asked for: one's own face, a camera, a headset."""
+MAX_LINES, MAX_BYTES = 5_120, 220_000
+MAX_LATER_LINES, MAX_LATER_BYTES = 1_030, 46_000
 
 
 def test_modules_are_typed() -> None:
@@ -32,6 +35,11 @@ def test_modules_are_typed() -> None:
 
 
 def test_the_page_is_small() -> None:
-    files = [each.read_text() for each in WEB.iterdir() if each.suffix in KINDS]
-    assert sum(text.count("\n") for text in files) <= MAX_LINES
-    assert sum(len(text.encode()) for text in files) <= MAX_BYTES
+    files = {each.name: each.read_text() for each in WEB.iterdir() if each.suffix in KINDS}
+    later = [files.pop(name) for name in LATER & files.keys()]
+    for texts, max_lines, max_bytes in (
+        (files.values(), MAX_LINES, MAX_BYTES),
+        (later, MAX_LATER_LINES, MAX_LATER_BYTES),
+    ):
+        assert sum(text.count("\n") for text in texts) <= max_lines
+        assert sum(len(text.encode()) for text in texts) <= max_bytes

@@ -31,14 +31,15 @@ let fetching = Promise.resolve();
 /** Get an avatar from the relay, checked and read once; rejects with one clear line.
  * @param {URL} base @param {string} id */
 function getAvatar(base, id) {
-  const found = avatars.get(id) ?? fetching.then(() => fetchAvatar(base, id));
+  const found = avatars.get(id) ?? fetching.then(async () => openAvatar(await getFile(base, id)));
   if (!avatars.has(id)) fetching = found.catch(() => avatars.delete(id));
   avatars.set(id, found);
   return found;
 }
 
-/** @param {URL} base @param {string} id */
-async function fetchAvatar(base, id) {
+/** Get a file of the relay's store, checked; rejects with one clear line. @param {URL} base
+ * @param {string} id */
+export async function getFile(base, id) {
   const response = await fetch(new URL(`avatars/${id}`, base), { credentials: "omit" });
   if (response.status === 404) throw new Error("the relay does not have the avatar yet");
   if (!response.ok) throw new Error(`no avatar: the relay answers HTTP ${response.status}`);
@@ -48,7 +49,7 @@ async function fetchAvatar(base, id) {
   const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
   const hex = Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
   if (hex !== id) throw new Error("the relay gave another file than asked for");
-  return openAvatar(bytes);
+  return bytes;
 }
 
 /** A member of the room, and what has come of its face. */
@@ -185,6 +186,8 @@ export class Call extends EventTarget {
   self = null;
   /** @type {import("./face.js").OwnFace | null} */
   ownFace = null;
+  /** @type {import("./camera.js").Camera | null} */
+  camera = null;
   /** @type {{state: "joining" | "joined" | "reconnecting" | "ended", reason: string, code:
    * string}} */
   status = { state: "joining", reason: "", code: "" };
@@ -213,6 +216,7 @@ export class Call extends EventTarget {
     Object.assign(this.status, change);
     if (this.status.state === "ended") {
       clearInterval(this.timer);
+      this.camera?.close();
       this.ownFace?.close();
       this.voice.close();
     }
@@ -270,19 +274,29 @@ export class Call extends EventTarget {
     const track = { kind: "face", avatar, stream: 1, deadline_ms: 0 };
     const own = new Member(this,
       { peer_id: "self", name, tracks: [track], metadata: {} }, -1, name);
-    const face = await OwnFace.open();
-    await own.dress();
-    if (this.status.state === "ended") return;
-    this.self = own;
     let sequence = 0;
-    face.start((payload, capturedUs, multiple) => {
+    const face = await OwnFace.open((payload, capturedUs, multiple) => {
       this.publish("face", payload, capturedUs, multiple);
       own.receive({ stream: 1, sequence, capturedUs, payload }, seconds());
       sequence = (sequence + 1) % 65_536;
     });
+    await own.dress();
+    if (this.status.state === "ended") return;
+    this.self = own;
+    face.start();
     this.ownFace = face;
     this.voice.onSound = (pcm, endS) => face.hear(pcm, endS);
     this.say("people");
+  }
+
+  /** Let a camera move our face, or no longer. */
+  async toggleCamera() {
+    if (this.camera?.isOpen) return this.camera.close();
+    const { Camera } = await import("./camera.js");
+    const camera = new Camera((face, capturedS) => this.ownFace?.see(face, capturedS),
+      () => this.say("camera"));
+    this.camera = camera;
+    return camera.open(this.base);
   }
 
   /** Let the encryption do something after all that came before.

@@ -1,10 +1,11 @@
 /**
- * A face without a camera: the voice moves its mouth, and it blinks. The mouth is the network of
- * `pica_client.voice.mouth`, whose weights the relay gives.
+ * One's own face: a camera's, or the voice moves its mouth, and it blinks. The mouth is the network
+ * of `pica_client.voice.mouth`, whose weights the relay gives.
  */
 
 import { seconds } from "./clock.js";
 import { NUM_ARKIT, encodeFace } from "./latent_stream.js";
+import { clamp } from "./space.js";
 
 /** @typedef {Record<string, {shape: number[], values: ArrayLike<number>}>} Weights */
 
@@ -23,6 +24,8 @@ const BLINK_S = 0.22;
 const FRAME_MS = 33;
 /** A mouth of which nothing more is heard comes to rest within it. */
 const REST_S = 0.2;
+/** How long a face that a camera sees no more stands still, and how long one takes to another. */
+const [HOLD_S, EASE_S] = [0.2, 0.4];
 /** Sequence numbers are multiples of these in turn, so that a quarter of them is a stream too. */
 const MULTIPLES = [4, 1, 2, 1];
 
@@ -132,6 +135,13 @@ export class Mouth {
 /** Sends one's own face. */
 export class OwnFace {
   shapes = new Float32Array(NUM_ARKIT);
+  /** What was sent last, and what before it came from elsewhere. */
+  shown = new Float32Array(NUM_ARKIT + 6);
+  left = this.shown;
+  leftS = -Infinity;
+  /** When a camera began to see none. */
+  lostS = -Infinity;
+  isSeen = false;
   /** When the shapes were seen, by our clock. */
   heardS = -Infinity;
   capturedS = -Infinity;
@@ -139,18 +149,20 @@ export class OwnFace {
   phase = 0;
   timer = 0;
 
-  /** @param {Mouth} mouth */
-  constructor(mouth) {
+  /** @param {Mouth} mouth @param {SendFace} send */
+  constructor(mouth, send) {
     this.mouth = mouth;
-  }
-
-  static async open() {
-    return new OwnFace(new Mouth(await loadWeights(new URL("mouth.json", import.meta.url))));
+    this.send = send;
   }
 
   /** @param {SendFace} send */
-  start(send) {
-    this.timer = setInterval(() => this.frame(seconds(), send), FRAME_MS);
+  static async open(send) {
+    const weights = await loadWeights(new URL("mouth.json", import.meta.url));
+    return new OwnFace(new Mouth(weights), send);
+  }
+
+  start() {
+    this.timer = setInterval(() => this.frame(seconds()), FRAME_MS);
   }
 
   close() {
@@ -165,13 +177,20 @@ export class OwnFace {
     this.heardS = endS - DELAY_S;
   }
 
-  /** @param {number} now @param {SendFace} send */
-  frame(now, send) {
+  /** Take a face that a camera saw: 52 shapes, the head's turn and place; null: there is none.
+   * @param {Float32Array | null} face @param {number} capturedS */
+  see(face, capturedS) {
+    this.lostS = face ? Infinity : Math.min(this.lostS, capturedS);
+    if (face) this.show(face, capturedS, true);
+  }
+
+  /** @param {number} now */
+  frame(now) {
+    if (now < this.lostS + HOLD_S) return;
     const idleS = now - DELAY_S;
     const isHeard = idleS - this.heardS < REST_S;
-    const capturedS = Math.max(isHeard ? this.heardS : idleS - REST_S, this.capturedS);
-    if (capturedS === this.capturedS) return;
-    this.capturedS = capturedS;
+    const capturedS = isHeard ? this.heardS : idleS - REST_S;
+    if (capturedS <= this.capturedS) return;
     const arkit = isHeard ? this.shapes.slice() : new Float32Array(NUM_ARKIT);
     if (now > this.blinkS + BLINK_S) this.blinkS = now + 1.5 + 4 * Math.random();
     for (const shape of BLINKS) {
@@ -181,6 +200,19 @@ export class OwnFace {
     face.set(arkit);
     face.set([0.03 * Math.sin(now / 2.3), 0.05 * Math.sin(now / 3.7), 0.01 * Math.sin(now / 5.1)],
       NUM_ARKIT);
-    send(encodeFace(face), Math.round(capturedS * 1e6), MULTIPLES[this.phase++ % 4]);
+    this.show(face, capturedS, false);
+  }
+
+  /** Send a face, softly where it comes from elsewhere than the last one.
+   * @param {Float32Array} face @param {number} capturedS @param {boolean} isSeen */
+  show(face, capturedS, isSeen) {
+    if (capturedS <= this.capturedS) return;
+    this.capturedS = capturedS;
+    if (isSeen !== this.isSeen) [this.left, this.leftS] = [this.shown, capturedS];
+    this.isSeen = isSeen;
+    const way = clamp((capturedS - this.leftS) / EASE_S, 0, 1);
+    const { left } = this;
+    this.shown = face.map((value, k) => left[k] + way * way * (3 - 2 * way) * (value - left[k]));
+    this.send(encodeFace(this.shown), Math.round(capturedS * 1e6), MULTIPLES[this.phase++ % 4]);
   }
 }

@@ -39,7 +39,7 @@ export class CallView {
 
   /** Show how the call stands. */
   refresh() {
-    const { call: { status, voice, self, members }, wanted } = this;
+    const { call: { status, voice, self, members, camera }, wanted } = this;
     const bar = BAR_PX / Math.max(window.innerHeight, 1);
     wanted.self = this.showsSelf ? self : null;
     wanted.rise = window.innerWidth < NARROW_PX ? bar : 0;
@@ -49,12 +49,14 @@ export class CallView {
     element("hear").hidden = !voice.needsTap;
     element("mute").textContent = voice.isMuted ? "Unmute" : "Mute";
     element("mute").setAttribute("aria-pressed", String(!voice.isMuted));
-    element("self").hidden = !self;
+    element("self").hidden = element("camera").hidden = !self;
+    element("camera").setAttribute("aria-pressed", String(camera?.isOpen ?? false));
     element("self").setAttribute("aria-pressed", String(this.showsSelf));
     element("layout").textContent = `Layout: ${wanted.layout}`;
     const isJoined = status.state === "joined";
     const lines = [
       isJoined ? "" : status.reason || `${status.state} …`, voice.note,
+      camera?.note ?? "",
       isJoined && !members.size ? "Nobody else is here yet." : "",
     ];
     const notice = lines.filter(Boolean).join(" ");
@@ -154,6 +156,7 @@ export class CallView {
       self: () => {
         this.showsSelf = !this.showsSelf;
       },
+      camera: () => void this.call.toggleCamera(),
       reset: () => Object.assign(this.wanted, { pinned: "", orbit: { ...HOME } }),
       leave: () => this.call.leave(),
     };
@@ -163,7 +166,7 @@ export class CallView {
         this.refresh();
       }, { signal });
     }
-    for (const event of ["people", "status", "voice"]) {
+    for (const event of ["people", "status", "voice", "camera"]) {
       this.call.addEventListener(event, () => this.refresh(), { signal });
     }
     window.addEventListener("resize", () => this.refresh(), { signal });
