@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pi_heif import register_heif_opener
 from PIL import Image, ImageOps
 from scipy.ndimage import gaussian_filter
 
@@ -23,6 +24,8 @@ from pica_core.errors import CaptureError
 from pica_core.face_networks import NUM_LANDMARKS, FaceNetworks, region_of
 from pica_core.types import ByteArray, Float64Array, FloatArray
 
+register_heif_opener()
+
 PHONE_FOCAL_MM, DIAGONAL_MM = 27.0, 43.27
 """Usual focal length of phones, for a picture of 35 mm film, and the diagonal of that."""
 KNOWN, UNKNOWN = 0.04, 0.15
@@ -31,8 +34,9 @@ LEAST_M = 0.0004
 """No landmark is trusted more."""
 IRISES = slice(468, 478)
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif")
-HEIC = (".heic", ".heif")
 MODES = ("RGB", "RGBA", "L", "P")
+BROKEN = (OSError, SyntaxError, ValueError, TypeError, EOFError, RuntimeError)
+"""What readers of damaged files raise."""
 MOST_PHOTOS, MOST_SIDE, SIDE = 60, 12_000, 1920
 """Photos, their longest side in pixels, and to what they are reduced."""
 EXIF_IFD, FILM_FOCAL, MODEL = 0x8769, 0xA405, 0x0110
@@ -103,8 +107,6 @@ def read_photo(path: Path, networks: FaceNetworks) -> Photo:
     Raises:
         CaptureError: It cannot be read, or does not show one face well; names file and remedy.
     """
-    if path.suffix.lower() in HEIC:
-        raise CaptureError(f"{path}: HEIC is not read; export it as JPEG (camera: most compatible)")
     try:
         with Image.open(path) as opened:
             if max(opened.size) > MOST_SIDE:
@@ -118,7 +120,7 @@ def read_photo(path: Path, networks: FaceNetworks) -> Photo:
             told = {**exif, **exif.get_ifd(EXIF_IFD)}
             picture = ImageOps.exif_transpose(opened).convert("RGB")
         film_mm = float(told.get(FILM_FOCAL) or 0)
-    except (OSError, SyntaxError, ValueError, TypeError, Image.DecompressionBombError) as error:
+    except (*BROKEN, Image.DecompressionBombError) as error:
         raise CaptureError(f"{path}: not a complete photo ({error}); save it again") from error
     picture.thumbnail((SIDE, SIDE), Image.Resampling.BOX, reducing_gap=None)
     return photo_of(path.name, picture, film_mm, told.get(MODEL), networks, str(path))
