@@ -26,8 +26,9 @@ from pica_core.types import Array, Float64Array
 
 EXPRESSION, CALM = 0.03, 0.01
 """Mean of an expression's values, and below which all are alike (chosen: mostly calm)."""
-ROBUST = 3.0
-"""Residuals so many times their noise count a quarter."""
+ROBUST, MEDIAN = 3.0, 1.39
+"""Residuals so many times their noise count a quarter, or so many times the residuals there are: a
+fit that begins far off would let go of all. The median of squares of two numbers of noise."""
 SIZE_KNOWN = 1e4
 """How surely a head has the size that is known, or the most usual one for its shape: certain."""
 POSE = 6
@@ -145,7 +146,8 @@ def solve(
             right[values] -= calm * found.expressions[k]
             rows, place, apart = _linear(spots, found, k, sight)
             far = np.einsum("ni,nij,nj->n", apart, sight.precision, apart)
-            share = 1 / (1 + far / ROBUST**2) ** 2 if turn > 2 else 1 / (1 + far / 100)
+            near = ROBUST**2 * max(1.0, float(np.median(far)) / MEDIAN)
+            share = 1 / (1 + far / near) ** 2 if turn > 2 else 1 / (1 + far / 100)
             precision = sight.precision * share[:, None, None]
             weighted = np.einsum("nij,njc->nic", precision, rows)
             system[np.ix_(mine, mine)] += np.tensordot(rows, weighted, ((0, 1), (0, 1)))

@@ -95,6 +95,26 @@ def test_a_head_has_the_usual_size_or_that_of_its_pupils() -> None:
     assert align(mean, found.shape(model)[::9], np.ones(len(mean))).scale > 1.05
 
 
+def test_a_fit_that_begins_far_off_comes_near() -> None:
+    """A sharp portrait with a smile, cut out of a photo from afar: its lens is not a phone's."""
+    model, random = read_model(), np.random.default_rng(5)
+    spots, camera = landmark_spots(model), _camera(10, 0)
+    smile = np.zeros((1, NUM_ARKIT))
+    smile[0, [ARKIT_INDEX["mouthSmileLeft"], ARKIT_INDEX["mouthSmileRight"]]] = 0.9
+    exact = _solution([camera], random.normal(0, 1, NUM_MODES), smile)
+    pixels = camera.project(exact.points(spots, 0))[0]
+    sight = Sight(pixels=pixels, precision=np.tile(900 * np.eye(2), (478, 1, 1)))
+    begun = replace(
+        camera,
+        intrinsics=camera.intrinsics * [[0.4, 1, 1], [1, 0.4, 1], [1, 1, 1]],
+        translation_m=camera.translation_m * [1, 1, 0.4],
+    )
+    start = _solution([begun], np.zeros(NUM_MODES), np.zeros((1, NUM_ARKIT)))
+    found = solve(spots, [sight], start, [(0.4 * FOCAL, 0.15)], rounds=8)
+    apart = found.cameras[0].project(found.points(spots, 0))[0] - pixels
+    assert np.median(np.linalg.norm(apart, axis=1)) < 0.3
+
+
 def _camera(azimuth: float, elevation: float) -> Camera:
     a, e = np.radians([azimuth, elevation])
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
