@@ -46,6 +46,8 @@ CLOTHES_Y_M = (-0.105, -0.122)
 BROWS, ABOVE_M, NECK_Y_M, FRINGE_EDGES = [105, 334], 0.006, -0.085, 12
 """Landmarks on the upper edges of the brows, so far above which the forehead begins; where the neck
 does, and how many edges of the mesh hair or clothes on them reach."""
+BROW_ENDS, CORNERS = [70, 300], [33, 263]
+"""Landmarks at the outer ends of brows and eyes: beside and above them are the temples."""
 LIKE_FRINGE, LIKE_SCALP = 0.25, 0.12
 """Difference of log colours from skin above which a forehead has a fringe, and below which a scalp
 is bald: fair hair is like skin, and hair is easier missed than taken off (`--hair bald`)."""
@@ -227,10 +229,12 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     alpha *= np.clip((height - CLOTHES_Y_M[1]) / (CLOTHES_Y_M[0] - CLOTHES_Y_M[1]), 0, 1)
     skin = np.median(albedo[(alpha > 0.5) & (np.abs(height + 0.02) < 0.03)], axis=0)
     albedo[alpha < 0.02] = skin
-    # A fringe on the forehead is hair, wherever the hairline is; a collar is no skin.
+    # On forehead and temples a fringe is hair, wherever the hairline is; a collar is no skin.
     unlike = np.abs(np.log(np.maximum(albedo, 1e-3)) - np.log(skin)).mean(1) > LIKE_FRINGE
-    forehead = landmark_places().at(found.coefficients)[BROWS, 1].max() + ABOVE_M
-    unlike &= (height > forehead) | (height < NECK_Y_M)
+    places = landmark_places().at(found.coefficients)
+    beside = np.abs(flat.at(rest_m)[:, 0]) > np.abs(places[BROW_ENDS, 0]).max() + ABOVE_M
+    temple = beside & (height > places[CORNERS, 1].min())
+    unlike &= (height > places[BROWS, 1].max() + ABOVE_M) | temple | (height < NECK_Y_M)
     reached = flat.soften(unlike.astype(np.float64), FRINGE_EDGES)
     above = np.maximum(above, np.clip(4 * reached, 0, 1))
     worn = wear(model, rest_m, flat, albedo, alpha * (1 - above))
