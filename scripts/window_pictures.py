@@ -170,6 +170,8 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
 
         desk.type("##name", "Me")
         take("01-join")
+        desk.click("Make my own")
+        take("01-own")
         desk.click("Join")
         desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 1)
         take("02-call")

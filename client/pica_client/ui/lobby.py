@@ -4,6 +4,7 @@ shown while the user waits for the room.
 Why joining failed is said in a person's words with what helps; the raw error stands below.
 """
 
+import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -59,6 +60,12 @@ LABELS = {
     "avatar": ("Avatar file", "instead of one of the pictures"),
 }
 """What stands above a field and, as an example, in it; the token is shown as stars."""
+OWN = (
+    "From about twelve photos of you in a folder, a film (--video) or a scan (--scan), on this "
+    "computer, in about 15 minutes and 3 GB of memory, without a GPU. Once before it: "
+    "pica webcam setup. Its last line names the avatar file, which goes under More."
+)
+"""What an avatar of one's own needs, above the command that makes it."""
 REFUSALS: dict[int, str] = {
     CloseCode.WRONG_VERSION: "The relay runs another version of PiCA. Update PiCA on this "
     "computer, or ask the relay's operator to update it.",
@@ -290,6 +297,10 @@ def _fields(form: JoinForm) -> None:
         _field(state, "name", width=half, focus=empty == "name")
     if form.portraits:
         _avatars(form)
+    if imgui.tree_node_ex("Make my own", FOLDED):
+        widgets.note(OWN)
+        imgui.set_next_item_width(-1.0)
+        imgui.input_text("##own", own_command(state.name), imgui.InputTextFlags_.read_only)
     widgets.note("Your face")
     state.source = widgets.choice_of("##source", SOURCES, state.source)
     if form.sound is not None:
@@ -298,6 +309,11 @@ def _fields(form: JoinForm) -> None:
     if imgui.tree_node_ex("More", FOLDED):
         for name in ("token", "secret_file", "avatar"):
             _field(state, name)
+
+
+def own_command(name: str) -> str:
+    """The command that makes an avatar of somebody of this name."""
+    return f"pica avatar make --photos FOLDER --name {shlex.quote(name or 'Me')}"
 
 
 def _field(state: ViewState, name: str, *, width: float = -1.0, focus: bool = False) -> None:

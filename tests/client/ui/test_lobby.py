@@ -1,5 +1,6 @@
 """The form and the waiting card, filled in, clicked and typed on without a window."""
 
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -11,12 +12,13 @@ from helpers.hand import Hand, open_hand
 from pica_client.errors import RelayRefusedError, RelayUnreachableError, SourceError
 from pica_client.sources import open_source
 from pica_client.sources.registry import TRACKER_KINDS
-from pica_client.ui.lobby import JoinForm, connecting_panel, join_panel
+from pica_client.ui.lobby import JoinForm, connecting_panel, join_panel, own_command
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.session import link_of
 from pica_client.ui.side import SOURCES
 from pica_client.ui.state import ViewState
 from pica_client.voice.sound.settings import SoundState
+from pica_command.table import COMMANDS
 
 pytestmark = pytest.mark.unit
 
@@ -62,6 +64,16 @@ def test_the_form_is_filled_and_joined_by_mouse_and_keys(hand: Hand) -> None:
         hand.click(label, shown)
     assert (state.avatar, state.voice) == ("", "none")  # the avatar that goes by the name again
     assert shown.form.outcome == "join"
+
+
+def test_the_form_says_how_to_make_an_avatar_of_ones_own(hand: Hand) -> None:
+    shown = Shown(replace(FILLED, name="Ada Lovelace"))
+    hand.click("Make my own", shown)
+    hand.click("##own", shown)
+    hand.type("x", shown)  # can be copied, not changed
+    command = ["pica", "avatar", "make", "--photos", "FOLDER", "--name", "Ada Lovelace"]
+    assert shlex.split(own_command(shown.form.state.name)) == command
+    assert "avatar make" in COMMANDS
 
 
 @pytest.mark.parametrize(("key", "outcome"), [(Key.enter, "join"), (Key.escape, "leave")])
