@@ -1,14 +1,33 @@
 """The page's modules in a Node process, which tests call as if they were Python's."""
 
 import json
+import shutil
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from helpers.paths import ROOT
 
 PEER = ROOT / "tests" / "web" / "peer.mjs"
+
+
+def node_module(path: str) -> Path:
+    """A file of the packages that tests of the page need; skips the test where npm cannot get
+    them."""
+    folder = PEER.parent
+    found = folder / "node_modules" / path
+    if not found.exists():
+        npm = shutil.which("npm")
+        install = ["install", "--no-package-lock", "--no-audit", "--no-fund", "--silent"]
+        if (
+            npm is None
+            or subprocess.run([npm, *install], cwd=folder, check=False, timeout=60).returncode
+        ):
+            pytest.skip("npm is not installed, or cannot install packages here")
+    return found
 
 
 class PageError(Exception):

@@ -1,12 +1,16 @@
 """The page with people of a test in it: what is shown, and what buttons and keys do."""
 
 import json
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from helpers.browser import PAGES, WEB, run_page
+from helpers.page import node_module
 from pica_client.sources.source import make_performance
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
@@ -26,9 +30,15 @@ def _faces() -> bytes:
     return np.array(rows, np.float32).tobytes()
 
 
-def _open(people: list[dict[str, Any]], path: str, *, is_tile: bool) -> Any:
-    script = '<script type="module" src="web/drive.js"></script></head>'
-    index = (WEB / "index.html").read_text().replace("</head>", script)
+def _open(
+    people: list[dict[str, Any]],
+    path: str,
+    *,
+    is_tile: bool = False,
+    script: str = '<script type="module" src="web/drive.js"></script>',
+    more: Mapping[str, bytes] = MappingProxyType({}),
+) -> tuple[dict[str, bytes], Any]:
+    index = (WEB / "index.html").read_text().replace("</head>", f"{script}</head>")
     files = {
         "index.html": index.encode(),
         "call.js": (PAGES / "fake_call.js").read_bytes(),
@@ -36,9 +46,10 @@ def _open(people: list[dict[str, Any]], path: str, *, is_tile: bool) -> Any:
         "case.json": json.dumps({"isTile": is_tile}).encode(),
         "nora.pica": NORA.read_bytes(),
         "broken.pica": NORA.read_bytes()[:5000],
+        **more,
         **{f"{number}.faces": _faces() for number in range(len(people))},
     }
-    return run_page(path, files, flags=("--window-size=480,360",))[1]
+    return run_page(path, files, flags=("--window-size=480,360",))
 
 
 def test_people_are_shown_named_and_pinned() -> None:
@@ -47,7 +58,7 @@ def test_people_are_shown_named_and_pinned() -> None:
         {"name": "Ben", "avatar": "broken"},
         {"name": "W" * 64, "avatar": None, "state": "not encrypted · muted"},
     ]
-    found = _open(people, "demo", is_tile=False)
+    _, found = _open(people, "demo")
     assert found["first"][0]["text"] == "Nora"
     assert found["first"][1]["text"].startswith("Benthis is no avatar")
     assert found["first"][2]["text"] == "W" * 64 + "not encrypted · muted"
@@ -63,6 +74,28 @@ def test_people_are_shown_named_and_pinned() -> None:
 
 def test_a_tile_is_one_person_on_a_transparent_ground() -> None:
     people = [{"name": "Ben", "avatar": None}, {"name": "Nora", "avatar": "nora"}]
-    found = _open(people, "demo?tile=Nora&background=transparent", is_tile=True)
+    _, found = _open(people, "demo?tile=Nora&background=transparent", is_tile=True)
     assert {0, 255} <= set(found["alphas"])
     assert not found["isBarShown"]
+
+
+def test_a_headset_sees_people_at_a_table_at_true_scale() -> None:
+    emulator = {"iwer.js": node_module("iwer/build/iwer.min.js").read_bytes()}
+    _, found = _open(
+        [{"name": "Nora", "avatar": "nora"}],
+        "demo",
+        script='<script src="web/iwer.js"></script><script src="web/emulate.js"></script>'
+        '<script type="module" src="web/headset.js"></script>',
+        more=emulator,
+    )
+    height = found["before"]["height"]
+    focal_px = height / 2 / math.tan(found["fovy"] / 2)
+    away_m = 1.24  # across a table of 0.62 m
+    (left, right), moved, turned = (found[name]["eyes"] for name in ("before", "moved", "turned"))
+    assert left["x"] - right["x"] == pytest.approx(focal_px * found["ipd"] / away_m, abs=2)
+    assert left["x"] + right["x"] == pytest.approx(0, abs=6)
+    for before, after, later in zip((left, right), moved, turned, strict=True):
+        assert after["x"] - before["x"] == pytest.approx(-focal_px * 0.2 / away_m, abs=3)
+        assert after["y"] - before["y"] == pytest.approx(-focal_px * 0.1 / away_m, abs=3)
+        assert later["x"] > after["x"] + 0.9 * focal_px * math.tan(found["turned"]["angle"])
+    assert found["isBack"]

@@ -17,7 +17,7 @@ const FADE_OF_STATUS = { waiting: 0.6, live: 0, stale: 0.8, away: 0.4 };
 const [FADE_S, GLOW_STEPS, SETTLE_S] = [0.5, 4, 0.15];
 const SELF_SHARE = 0.2;
 
-/** @typedef {{entry: Shape, matrix: Matrix}} Seated */
+/** @typedef {View & {seated: {entry: Shape, matrix: Matrix}[]}} Stage */
 
 /** What is kept of a person from frame to frame. */
 class Shape {
@@ -52,6 +52,7 @@ export class Scene {
   /** @type {{plan: SeatPlan, aspect: number} | null} */
   settled = null;
   drawnS = -Infinity;
+  sinceS = 0;
 
   /** @param {Renderer} renderer */
   constructor(renderer) {
@@ -62,18 +63,15 @@ export class Scene {
    * @param {Target} target @param {number} budgetS @param {number} now */
   draw(people, wanted, target, budgetS, now) {
     const { width, height } = target;
-    const sinceS = now - this.drawnS;
-    this.drawnS = now;
-    this.refresh(wanted.self ? [...people, wanted.self] : people, now);
-    const entries = people.map(({ id }) => /** @type {Shape} */ (this.entries.get(id)));
-    const plan = this.seat(entries, wanted, width / height, sinceS);
+    const entries = this.refresh(wanted.self ? [...people, wanted.self] : people, now);
+    const self = entries[people.length];
+    entries.length = people.length;
+    const plan = this.seat(entries, wanted, width / height);
     const camera = planCamera(plan, wanted.orbit, width, height,
       orbitLimits(plan, entries.map(({ span }) => span)));
-    /** @type {Seated[]} */
     const seated = entries.map((entry, index) => ({ entry, matrix: plan.seats[index] }));
-    /** @type {(View & {seated: Seated[]})[]} */
+    /** @type {Stage[]} */
     const views = [{ camera, rect: [0, 0, width, height], seated, placements: [] }];
-    const self = this.entries.get(wanted.self?.id ?? "");
     if (self) {
       const side = Math.round(Math.min(width, height) * SELF_SHARE);
       const inset = Math.round(side / 10);
@@ -85,7 +83,29 @@ export class Scene {
         seated: [{ entry: self, matrix: own.seats[0] }], placements: [],
       });
     }
-    const heads = views.flatMap((view) => this.place(view, sinceS));
+    const labels = entries.map(({ person, face, ready }, index) =>
+      ({ person, rect: headRect(camera, plan.seats[index]), hasFace: Boolean(ready && face) }));
+    return { ...this.show(views, target, budgetS, now), labels };
+  }
+
+  /** Draw what the eyes of a headset see of people in these seats.
+   * @type {(eyes: {camera: Camera, rect: Rect}[], people: Person[], seats: Matrix[], target: Target,
+   * budgetS: number, now: number) => void} */
+  drawFrom(eyes, people, seats, target, budgetS, now) {
+    const entries = this.refresh(people, now);
+    const seated = entries.map((entry, index) => ({ entry, matrix: seats[index] }));
+    // Planned and decoded for the first eye.
+    const [first, ...others] = eyes.map((eye) => ({ ...eye, seated, placements: [] }));
+    const { placements } = first;
+    this.show([first, ...others.map((eye) => ({ ...eye, seated: [], placements }))], target, budgetS,
+      now);
+  }
+
+  /** Plan, decode and draw views, of which the first has the room.
+   * @type {(views: Stage[], target: Target, budgetS: number, now: number) => ReturnType<Renderer["draw"]>
+   * & {decodesS: number, shadedPx: number}} */
+  show(views, target, budgetS, now) {
+    const heads = views.flatMap((view) => this.place(view));
     const { shadedPx } = this.scheduler.plan(heads.map(({ head }) => head), budgetS, now);
     heads.sort((a, b) => b.head.sight.headPx - a.head.sight.headPx);
     const requests = heads.flatMap(({ person, head, look, placement }) => {
@@ -95,15 +115,14 @@ export class Scene {
       return request ? [{ look, ...request }] : [];
     });
     this.renderer.decode(requests);
-    const speaking = entries.map(({ glow }) => Math.ceil(GLOW_STEPS * glow) / GLOW_STEPS);
-    const room = { places: plan.seats.map((seat) => column(seat, 3)), speaking };
+    const [{ seated }] = views;
+    const room = { places: seated.map(({ matrix }) => column(matrix, 3)),
+      speaking: seated.map(({ entry }) => Math.ceil(GLOW_STEPS * entry.glow) / GLOW_STEPS) };
     const drawn = this.renderer.draw(views, room, target);
     const decodesS = requests.reduce((sum, { level, isBoth }) =>
       sum + this.costs.decodeS(level, isBoth ? "both" : "expression"), 0);
     this.measure(requests);
-    const labels = entries.map(({ person, face, ready }, index) =>
-      ({ person, rect: headRect(camera, plan.seats[index]), hasFace: Boolean(ready && face) }));
-    return { ...drawn, labels, decodesS, shadedPx };
+    return { ...drawn, decodesS, shadedPx };
   }
 
   /** Learn once what a decode costs, when the first head has been shown.
@@ -117,13 +136,14 @@ export class Scene {
   /** Take the faces of now; avatars are made ready, one a frame. @param {Person[]} people
    * @param {number} now */
   refresh(people, now) {
+    [this.sinceS, this.drawnS] = [now - this.drawnS, now];
     for (const [id, { ready }] of this.entries) {
       if (people.some((person) => person.id === id)) continue;
       ready?.look.free();
       this.entries.delete(id);
     }
     let hasAdded = false;
-    people.forEach((person, index) => {
+    return people.map((person, index) => {
       const entry = this.entries.get(person.id) ?? new Shape(person);
       this.entries.set(person.id, entry);
       entry.person = person;
@@ -137,6 +157,7 @@ export class Scene {
       const isResting = this.scheduler.isShort && !person.isSpeaking && turn === entry.turn;
       entry.turn = turn;
       entry.face = isResting && entry.face && face ? entry.face : face;
+      return entry;
     });
   }
 
@@ -156,8 +177,8 @@ export class Scene {
   }
 
   /** Seats on their way to where people should be; at once on a picture of another size.
-   * @type {(entries: Shape[], wanted: Wanted, aspect: number, sinceS: number) => SeatPlan} */
-  seat(entries, { layout, pinned, free, isCalm }, aspect, sinceS) {
+   * @type {(entries: Shape[], wanted: Wanted, aspect: number) => SeatPlan} */
+  seat(entries, { layout, pinned, free, isCalm }, aspect) {
     const shouldersM = entries.length ? Math.max(...entries.map((entry) => entry.shouldersM))
       : SHOULDERS_M;
     const place = entries.findIndex(({ person }) => person.id === pinned);
@@ -165,17 +186,16 @@ export class Scene {
     if (this.settled?.aspect === aspect && entries.some(({ seat }) => seat)) {
       const seats = plan.seats.map((seat, index) => entries[index].seat ?? seat);
       plan = nearing({ ...this.settled.plan, seats }, plan,
-        isCalm ? 1 : 1 - Math.exp(-sinceS / SETTLE_S));
+        isCalm ? 1 : 1 - Math.exp(-this.sinceS / SETTLE_S));
     }
     this.settled = { plan, aspect };
     entries.forEach((entry, index) => (entry.seat = plan.seats[index]));
     return plan;
   }
 
-  /** Give a view its placements; the heads that can be drawn.
-   * @param {View & {seated: Seated[]}} view @param {number} sinceS */
-  place({ camera, seated, placements }, sinceS) {
-    const step = sinceS / FADE_S;
+  /** Give a view its placements; the heads that can be drawn. @param {Stage} view */
+  place({ camera, seated, placements }) {
+    const step = this.sinceS / FADE_S;
     const heads = seated.flatMap(({ entry, matrix: seat }) => {
       const { face, person, ready } = entry;
       entry.fade += clamp(FADE_OF_STATUS[face?.status ?? "waiting"] - entry.fade, -step, step);
@@ -198,6 +218,8 @@ export class Scene {
 /** The canvas of a call: its size, its context that may be lost, and frame after frame. */
 export class Picture {
   numDrawn = 0;
+  /** Whether it is seen in a headset. */
+  isAway = false;
   /** @type {WebGLSync | null} */
   fence = null;
 
@@ -239,7 +261,7 @@ export class Picture {
    * @returns {Label[] | null}
    */
   draw(people, wanted, now) {
-    if (this.fence || this.gl.isContextLost()) return null;
+    if (this.fence || this.isAway || this.gl.isContextLost()) return null;
     const ratio = this.resize();
     const { width, height } = this.canvas;
     const started = performance.now();

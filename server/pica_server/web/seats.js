@@ -108,6 +108,14 @@ function tableOf(count, _, spacing) {
   return { places, pitch: TABLE_PITCH, faced: [0, 0, radius] };
 }
 
+/** Seats around a table at true scale, and where the head of who looks on is.
+ * @param {number} count */
+export function planTable(count) {
+  const { places, faced: viewer = [0, 0, 0] } =
+    tableOf(count, { left: 0, right: 0, bottom: 0, top: 0 }, SHOULDERS_M + SHOULDER_GAP_M);
+  return { seats: places.map((place) => seatAt(place, viewer)), viewer };
+}
+
 /** As many columns as make heads largest; the last row stands in the middle. @type {Arrange} */
 function gridOf(count, view, spacing) {
   /** How far away a grid is wholly in the picture. @param {number} columns */

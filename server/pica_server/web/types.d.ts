@@ -68,7 +68,9 @@ type Defines = Record<string, string | number | null>;
 type Setters = Record<string, (value: any) => void>;
 type Texture =
   { handle: WebGLTexture; kind: number; width: number; height: number; format: Format };
-type Target = { framebuffer: WebGLFramebuffer | null; width: number; height: number };
+/** One that begins empty with each image has the number of the image. */
+type Target = { framebuffer: WebGLFramebuffer | null; width: number; height: number;
+  number?: number };
 type Program = { handle: WebGLProgram; set: Setters | null; key: string };
 type Triangles = { vertices: WebGLVertexArrayObject; count: number; buffers: WebGLBuffer[] };
 interface Graphics {

@@ -30,6 +30,10 @@ export class CallView {
       isCalm: false };
     this.listen();
     this.refresh();
+    const { xr } = /** @type {any} */ (navigator);
+    xr?.isSessionSupported("immersive-vr").then((/** @type {boolean} */ isThere) => {
+      element("headset").hidden = !isThere;
+    }, () => {});
   }
 
   close() {
@@ -156,6 +160,9 @@ export class CallView {
       self: () => {
         this.showsSelf = !this.showsSelf;
       },
+      headset: () => void import("./xr.js").then(({ enterHeadset }) =>
+        enterHeadset(this.picture, () => this.call.participants)).catch((error) =>
+        this.call.voice.say(`no headset: ${error instanceof Error ? error.message : error}`)),
       camera: () => void this.call.toggleCamera(),
       reset: () => Object.assign(this.wanted, { pinned: "", orbit: { ...HOME } }),
       leave: () => this.call.leave(),

@@ -1,7 +1,6 @@
 // Does in the page what a person does there, and tells the test what is seen.
-import { load, run } from "./pages.js";
+import { element, load, run, until } from "./pages.js";
 
-const element = (id) => document.getElementById(id);
 const picture = () => new Promise((resolve) => requestAnimationFrame(() => {
   const canvas = element("picture");
   const gl = canvas.getContext("webgl2");
@@ -22,14 +21,6 @@ const labels = () => [...document.querySelectorAll("#labels button")].map((each)
   isFaceless: showsDisc(each), isPinned: each.getAttribute("aria-pressed") === "true",
 }));
 
-async function until(holds) {
-  for (let tries = 0; tries < 3000; ++tries) {
-    const found = await holds();
-    if (found) return found;
-    await new Promise((resolve) => setTimeout(resolve, 10));
-  }
-  throw new Error(`never came true: ${holds}`);
-}
 const drawn = () => until(async () => (await picture()).colours > 60);
 const pressed = (key) => document.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
 

@@ -43,3 +43,15 @@ export function readBytes(gl, { framebuffer, width, height }) {
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, found);
   return found;
 }
+
+export const element = (id) => document.getElementById(id);
+
+/** Wait until something is true. */
+export async function until(holds) {
+  for (let tries = 0; tries < 3000; ++tries) {
+    const found = await holds();
+    if (found) return found;
+    await new Promise((resolve) => setTimeout(resolve, 10));
+  }
+  throw new Error(`never came true: ${holds}`);
+}
