@@ -117,6 +117,9 @@ class ViewOptions:
     """Draw without a window."""
     record: Path | None = None
     """Record into this MP4 file, which must not be there yet."""
+    camera: Path | None = None
+    """Give the picture to this device of v4l2loopback, such as /dev/video10, as a camera for other
+    programs; Linux alone, untested on a device."""
     max_fps: float | None = None
     """Draw at most so many images a second; by default 60, and 30 where it is drawn in software."""
     decode: DecodeChoice = "auto"

@@ -11,7 +11,7 @@ put the surface of `call_surface` over them, show or record.
 import os
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from pica_client.ui.actions import Action, Request, keyboard, mouse, settle
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
+from pica_client.ui.camera_output import CameraOutput
 from pica_client.ui.options import BUDGET_SHARE, DISPLAY_FPS, SOFTWARE_FPS, ViewOptions, parse_size
 from pica_client.ui.overlay import ASPECT, own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
@@ -128,6 +129,9 @@ class Viewer(Closing):
                 if path.is_file():  # of a stay before
                     path = new_path(path.parent, path.stem, ".mp4")
                 self._record(Recorder(path, size, self._sound.begin_track))
+            self._camera: CameraOutput | None = None
+            if options.camera is not None:
+                self._camera = stack.enter_context(closing(CameraOutput(options.camera, size)))
             workers = num_workers(os.cpu_count())
             self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
             shaders = choose_decoder(options.decode, context, self._renderer, clock)
@@ -248,10 +252,18 @@ class Viewer(Closing):
         if self._window is None:
             image = self._renderer.read_pixels()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        if self._recorder is not None:
+        if self._recorder is not None or self._camera is not None:
             shown = self._renderer.read_pixels() if image is None else image
             try:
-                self._recorder.write(shown, now)
+                if self._camera is not None:
+                    self._camera.write(shown)
+            except OptionError as error:
+                self._camera = None
+                self._fail(str(error))
+                self._panels.notice(str(error), now)
+            try:
+                if self._recorder is not None:
+                    self._recorder.write(shown, now)
             except OptionError as error:
                 self._record(None)
                 self._fail(str(error))

@@ -178,6 +178,17 @@ def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
             assert sum(1 for _ in container.decode(video=0)) >= 1
 
 
+def test_a_camera_gets_every_image(tmp_path: Path) -> None:
+    path = tmp_path / "video"
+    path.touch()
+    with Viewer(Faces("ada"), replace(SMALL, camera=path), clock=lambda: 5.0) as viewer:
+        for now in (1.0, 1.1, 1.2):
+            viewer.step(now)
+        width, height = viewer.surface.io.display_size
+    assert path.stat().st_size == 3 * 2 * width * height
+    assert viewer.failures == []
+
+
 def test_a_key_mutes_ones_own_face() -> None:
     publisher = Publisher(SenderConfig(), open_source("performance:talk"), TOY, "5" * 64)
     controls = FaceControls(publisher, "Ada", "performance:talk")
