@@ -81,7 +81,7 @@ def test_poses_come_back_from_a_capture_within_a_hundredth_of_a_millimetre(tmp_p
     jaw = arkit[:, ARKIT_INDEX["jawOpen"], None, None].clip(0, 0.5)
     meshes_m = np.array([(0, 0, 0), (0, 0.02, 0), (0.1, 0, 0)]) - jaw * [[[0], [0.1], [0]]]
     poses = Poses(arkit, meshes_m.astype(np.float32))
-    write_poses(tmp_path, poses)
+    write_poses(tmp_path, poses.arkit, poses.vertices_m)
     found = read_poses(tmp_path, 3)
     assert found is not None
     assert np.array_equal(found.arkit, poses.arkit)
@@ -139,7 +139,7 @@ def test_without_pictures_the_live_encoder_is_the_regression(
     assert poses is not None
     copy = tmp_path / "capture"
     shutil.copytree(captured, copy)
-    write_poses(copy, poses._replace(cameras=()))
+    write_poses(copy, poses.arkit, poses.vertices_m)
     with open_trainer(
         TrainingData(Capture.open(copy)),
         replace(PRESETS["tiny"], variant="linear"),

@@ -349,7 +349,7 @@ class RigHead:
         )
         one_of = np.zeros(len(mesh.rest_m), np.int32)
         one_of[source] = np.arange(len(source))
-        self._welded, self._welded_faces = one_of[source], one_of[mesh.faces]
+        self.welded, self.welded_faces = one_of[source], one_of[mesh.faces]
         self._rest = mesh.rest_m.astype(np.float32)
         moving = np.abs(mesh.motion_m).max((1, 2)) > 0
         self._shapes = np.flatnonzero(moving)
@@ -378,7 +378,7 @@ class RigHead:
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit vertex normals, area weighted, smooth across seams of the chart. ``[V, 3]``."""
-        return vertex_normals(vertices, self._welded_faces)[self._welded].astype(np.float32)
+        return vertex_normals(vertices, self.welded_faces)[self.welded].astype(np.float32)
 
 
 def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:

@@ -242,6 +242,13 @@ CORNER = {
 """What the shader is told of each corner of a triangle, and in how many numbers."""
 
 
+CREASED = 0.75
+"""Alpha of the relief that the deepest creases take; `appearance.frag` and `stage.frag` have it,
+too."""
+CREASE_LEVEL = 9
+"""Creases move vertices as a map of 256 texels has them, which are about as far apart."""
+
+
 def paint(
     context: moderngl.Context,
     head: RigHead,
@@ -284,6 +291,16 @@ def paint(
         vertex_array(context, program, mine, corners).render()
     _settle(targets)
     return targets
+
+
+def creases(relief: Any, uv: FloatArray) -> Float64Array:
+    """How deep a crease each vertex lies in when skin folds, 0 to 1, of the painted relief, by
+    texture coordinates. ``[V]``."""
+    level = max(0, relief.width.bit_length() - CREASE_LEVEL)
+    side = relief.width >> level
+    depth = np.frombuffer(relief.read(level), np.uint8).reshape(side, side, 4)[..., 3] / 255
+    column, row = np.clip((uv * side).astype(int), 0, side - 1).T
+    return np.clip((1 - depth[row, column]) / CREASED, 0, 1)
 
 
 def split_strands(head: RigHead, growth: Growth | None) -> FloatArray:

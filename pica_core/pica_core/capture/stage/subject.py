@@ -19,9 +19,11 @@ from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
 from pica_core.capture.rig.names import read_names
 from pica_core.capture.rig.source import RigSource
+from pica_core.capture.stage.flesh import STILL, Flesh
 from pica_core.capture.stage.paint import (
     Growth,
     Occlusion,
+    creases,
     make_program,
     paint,
     set_uniforms,
@@ -30,7 +32,7 @@ from pica_core.capture.stage.paint import (
     vertex_array,
 )
 from pica_core.gl import create_context, wait_for_gpu
-from pica_core.types import ByteArray, FloatArray, Int64Array
+from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
 
 BAKE_SIZE = 2048
 """Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""
@@ -90,6 +92,7 @@ class Subject:
         self._albedo, self._look, self._growth = albedo or {}, look or {}, growth
         self._bake_size, self._self_shadow = bake_size, self_shadow
         self._context: Any = None
+        self._flesh: Flesh | None = None
         self._strands = split_strands(head, growth)
         self._lids = tuple(_lid_edges(head))
 
@@ -98,7 +101,7 @@ class Subject:
         self._context = c = create_context()
         head = self.head
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
-        self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, "tangent": 3}
+        self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, "tangent": 3, "folded": 1}
         faces = head.chart.faces
         by_face = split_parts(head)[faces[:, 2]]  # the last vertex of a triangle counts
         order = np.argsort(by_face, kind="stable")
@@ -106,6 +109,7 @@ class Subject:
         names, first, count = np.unique(by_face[order], return_index=True, return_counts=True)
         uv = head.chart.vertex_uv.astype(np.float32)
         self._static = c.buffer(uv.tobytes())
+        self._unfolded = np.zeros(len(uv), np.float32)
         stride = 4 * sum(self._layout.values())
         self._moving = c.buffer(reserve=len(uv) * stride, dynamic=True)
         self._shade = [
@@ -120,23 +124,36 @@ class Subject:
             c, head, self._albedo, self._look, self._growth, self._bake_size
         )
         c.gc()
+        if self._flesh is not None:
+            self._flesh.creases = creases(self._relief, uv)
         self._occlusion: Occlusion | None = None
         if self._self_shadow:
             centre_y_m = -0.03 if self._growth is None else -0.11
             self._occlusion = Occlusion(head, self._draw_depth_map, centre_y_m)
 
-    def pose(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Pose for the draws that follow; returns vertices, head frame, metres ``[V, 3]``."""
+    def enliven(self) -> None:
+        """Give it flesh: from now on poses fold, slide and swing."""
+        self._flesh = Flesh(self.head, self._growth)
+
+    def pose(self, arkit: npt.ArrayLike, sway: Float64Array = STILL) -> FloatArray:
+        """Pose for the draws that follow; returns vertices, head frame, metres ``[V, 3]``.
+
+        Args:
+            sway: What inertia does to hair and tongue, as `flesh.sway`; without flesh nothing.
+        """
         if self._context is None:
             self._open()
-        vertices = self.head.vertices(arkit)
+        vertices, values = self.head.vertices(arkit), np.asarray(arkit, np.float32)
         shade = np.ones((len(vertices), 2), np.float32)
         if self._occlusion is not None:
-            shade = self._occlusion.at(np.asarray(arkit, np.float32))
-        self._upload(vertices, shade)
+            shade = self._occlusion.at(values)
+        folded = self._unfolded
+        if self._flesh is not None:
+            folded = self._flesh.move(vertices, values, sway)
+        self._upload(vertices, shade, folded)
         return vertices
 
-    def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
+    def _upload(self, vertices: FloatArray, shade: FloatArray, folded: FloatArray) -> None:
         for eyeball, upper, lower in self._lids:  # lids shade the eyeballs
             x, y = vertices[eyeball, 0], vertices[eyeball, 1]
             above = _line(vertices[upper], x) - y
@@ -145,7 +162,7 @@ class Subject:
                 0.60 + 0.40 * _ramp(below, -0.0006, 0.0026)
             )
             shade[eyeball] = light[:, None]
-        values = vertices, self.head.normals(vertices), shade, self._strands
+        values = vertices, self.head.normals(vertices), shade, self._strands, folded[:, None]
         self._moving.write(np.concatenate(values, 1, dtype=np.float32, casting="same_kind"))
         self._vertices = vertices
 
@@ -180,7 +197,7 @@ class Subject:
     def _draw_depth_map(self, vertices: FloatArray, clip: FloatArray, size: int) -> FloatArray:
         """Depth in [0, 1] along an orthographic `clip`, 1 where empty, row 0 at the bottom."""
         if vertices is not self._vertices:
-            self._upload(vertices, np.ones((len(vertices), 2), np.float32))
+            self._upload(vertices, np.ones((len(vertices), 2), np.float32), self._unfolded)
         framebuffer = self._framebuffer("geometry", size, size)
         framebuffer.use()
         framebuffer.clear(1.0, 0.0, 0.0, 0.0, depth=1.0)

@@ -8,11 +8,15 @@ driver.
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
+from itertools import chain
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 
@@ -24,19 +28,21 @@ from pica_core.capture.dataset.files import (
     depth_units,
     load_image,
     read_arrays,
-    write_archive,
     write_tables,
     write_topology,
 )
-from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
+from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, TAKE_FRAMES, blend, sample_takes
+from pica_core.capture.stage.flesh import LIVELY, STILL, sway
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracker import (
     NUM_VERTICES,
+    SEATED,
     SimulatedTracker,
     head_to_world,
     track_topology,
 )
 from pica_core.errors import CaptureError, check_ranges
+from pica_core.files import replacing
 from pica_core.types import ByteArray, FloatArray
 
 FILE = "poses.npz"
@@ -77,21 +83,30 @@ def read_picture(folder: Path, number: int) -> ByteArray:
     return load_image(picture_path(folder, number), "RGB", None)
 
 
-def write_poses(folder: Path, poses: Poses) -> None:
-    """Write poses into a capture: offsets from the first mesh, which is at rest, in fp16 (0.01 mm).
+def write_poses(
+    folder: Path, arkit: FloatArray, meshes_m: Iterable[FloatArray], cameras: Sequence[str] = ()
+) -> None:
+    """Write poses into a capture, mesh by mesh: offsets from the first one, which is at rest, in
+    fp16 (0.01 mm). Arguments are as `Poses` holds them.
 
     Raises:
         CaptureError: The file cannot be written.
     """
-    first = poses.vertices_m[0]
-    offsets_mm = ((poses.vertices_m - first) * 1000).astype(np.float16)
-    write_archive(
-        folder / FILE,
-        cameras=np.array(poses.cameras, np.str_),
-        arkit=poses.arkit,
-        rest_m=first,
-        offsets_mm=offsets_mm,
-    )
+    path, meshes = folder / FILE, iter(meshes_m)
+    first = next(meshes)
+    small = {"cameras": np.array(cameras, np.str_), "arkit": arkit, "rest_m": first}
+    header = {"descr": "<f2", "fortran_order": False, "shape": (len(arkit), *first.shape)}
+    try:
+        with replacing(path) as unfinished, ZipFile(unfinished, "w") as archive:
+            for name, values in small.items():
+                with archive.open(ZipInfo(f"{name}.npy"), "w") as file:
+                    np.lib.format.write_array(file, values)
+            with archive.open(ZipInfo("offsets_mm.npy"), "w", force_zip64=True) as file:
+                np.lib.format.write_array_header_1_0(file, header)
+                for mesh_m in chain([first], meshes):
+                    file.write((1000 * (mesh_m - first)).astype("<f2").tobytes())
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot write ({error.strerror or error})") from error
 
 
 def read_poses(folder: Path, num_vertices: int) -> Poses | None:
@@ -149,11 +164,16 @@ class RenderOptions:
     """Fixes performance, head motion and the errors of tracking."""
     tracked_vertices: int = NUM_VERTICES
     """Vertices that the tracked mesh aims at."""
+    workers: int = 1
+    """Processes that render."""
+    folds: bool = False
+    """Motion that no sum of shapes holds: skin folds and slides, hair swings, the tongue moves, the
+    head more."""
 
     def __post_init__(self) -> None:
         many = 100_000
         check_ranges(self, CaptureError, frames=(4, many), cameras=(1, 100))
-        check_ranges(self, CaptureError, texture_size=(16, 4096), seed=(0, 2**31))
+        check_ranges(self, CaptureError, texture_size=(16, 4096), seed=(0, 2**31), workers=(1, 64))
         check_ranges(self, CaptureError, tracked_vertices=(100, many))
         if self.lenses not in LENSES:
             raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
@@ -197,11 +217,14 @@ def render_subject(
     takes = sample_takes(options.frames, options.seed)
     subject = make_subject()
     try:
-        whole = {"options": asdict(options), "subject": subject.about}
+        asked = {name: value for name, value in asdict(options).items() if name != "workers"}
+        whole = {"options": asked, "subject": subject.about}
         fingerprint = json.dumps(whole, sort_keys=True, default=str)
         if used and multiface.read_text(marker) != fingerprint:
             raise CaptureError(f"{out}: {_USED}")
         multiface.write_aside(marker, fingerprint.encode())
+        if options.folds:
+            subject.enliven()
         counts = _render(subject, options, takes, out, progress)
         _pose(subject, options, out)
     finally:
@@ -217,6 +240,7 @@ class _Rendering:
         self, subject: Subject, options: RenderOptions, out: Path, writer: BackgroundWriter
     ) -> None:
         self.subject, self.options, self.out, self.writer = subject, options, out, writer
+        self.motion = LIVELY if options.folds else SEATED
         self.cameras = dome_cameras(options.cameras, *options.size_px, options.lenses)
         shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
         tracked_topology, self.tracked = track_topology(
@@ -225,6 +249,8 @@ class _Rendering:
         self.tracker = SimulatedTracker(
             tracked_topology, shapes[0, self.tracked], options.seed, self.tracked
         )
+        times_s = np.arange(TAKE_FRAMES) * STRIDE / RATE_HZ
+        self._sways = lru_cache(1)(lambda number: sway(options.seed, number, times_s))
         multiface.write_aside(out / multiface.KRT, multiface.krt_text(self.cameras).encode())
         write_topology(
             out / multiface.TOPOLOGY, subject.topology, tracked_topology.faces, self.tracked
@@ -234,8 +260,9 @@ class _Rendering:
         """Draw and write one frame; its tracked mesh comes last."""
         frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
         arkit = take.arkit[index]
-        exact = self.subject.pose(arkit)
-        pose = head_to_world(self.options.seed, number, time_s)
+        swaying = self._sways(number)[index] if self.options.folds else STILL
+        exact = self.subject.pose(arkit, swaying)
+        pose = head_to_world(self.options.seed, number, time_s, self.motion)
         cameras = [camera.in_head(pose) for camera in self.cameras]
         views, texture = self.subject.photograph(cameras, self.options.texture_size)
         for camera, view in zip(cameras, views, strict=True):
@@ -264,20 +291,50 @@ def _millimetres(vertices_m: FloatArray) -> FloatArray:
     return (vertices_m * multiface.MILLIMETRES).astype("<f4")
 
 
+Frame = tuple[int, Take, int]
+"""Number of a take, the take, and a frame's place in it."""
+
+
+def _mesh_of(out: Path, frame: Frame) -> Path:
+    """The last file that is written of a frame."""
+    _, take, index = frame
+    return out / multiface.mesh_path(take.segment, f"{index:06d}")
+
+
+def _draw(
+    subject: Subject,
+    options: RenderOptions,
+    out: Path,
+    frames: list[Frame],
+    progress: Callable[[int], None] = lambda done: None,
+) -> None:
+    """Draw frames, in a process that may have been made for them."""
+    if not frames:
+        return
+    with BackgroundWriter() as writer:
+        rendering = _Rendering(subject, options, out, writer)
+        for done, (number, take, index) in enumerate(frames, start=1):
+            rendering.draw_frame(take, number, index)
+            progress(done)
+
+
 def _render(
     subject: Subject, options: RenderOptions, takes: list[Take], out: Path, progress: Progress
 ) -> dict[str, Any]:
     frames = [(k, take, index) for k, take in enumerate(takes) for index in range(len(take.arkit))]
-    resumed = 0
-    rendering: _Rendering | None = None
-    with BackgroundWriter() as writer:
-        for done, (number, take, index) in enumerate(frames, start=1):
-            if (out / multiface.mesh_path(take.segment, f"{index:06d}")).is_file():
-                resumed += 1
-            else:
-                rendering = rendering or _Rendering(subject, options, out, writer)
-                rendering.draw_frame(take, number, index)
-            progress(done, options.frames)
+    left = [frame for frame in frames if not _mesh_of(out, frame).is_file()]
+    resumed = len(frames) - len(left)
+    if options.workers == 1:
+        _draw(subject, options, out, left, lambda done: progress(resumed + done, len(frames)))
+    else:
+        shares = [left[worker :: options.workers] for worker in range(options.workers)]
+        with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+            waiting = {pool.submit(_draw, subject, options, out, each) for each in shares if each}
+            while waiting:
+                done, waiting = wait(waiting, 1.0, FIRST_COMPLETED)
+                for share in done:
+                    share.result()
+                progress(sum(_mesh_of(out, each).is_file() for each in frames), len(frames))
     write_tables(out, takes, _describe(subject, options))
     num_test = sum(take.split == "test" for _, take, _ in frames)
     return {
@@ -296,15 +353,17 @@ def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
     arkit = pose_expressions(POSES_PER_FRAME * options.frames, options.seed)
     random = np.random.default_rng([options.seed, 0x905E])
     views = [cameras[place] for place in random.integers(len(cameras), size=len(arkit))]
-    meshes = []
     with BackgroundWriter() as writer:
-        for number, (values, camera) in enumerate(zip(arkit, views, strict=True)):
-            meshes.append(subject.pose(values))
-            path = picture_path(out, number)
-            if not path.is_file():
-                writer.image(path, partial(np.asarray, subject.draw(camera).image))
-        writer.finish()
-    write_poses(out, Poses(arkit, np.stack(meshes), tuple(camera.name for camera in views)))
+
+        def meshes() -> Iterator[FloatArray]:
+            for number, (values, camera) in enumerate(zip(arkit, views, strict=True)):
+                yield subject.pose(values)
+                path = picture_path(out, number)
+                if not path.is_file():
+                    writer.image(path, partial(np.asarray, subject.draw(camera).image))
+            writer.finish()
+
+        write_poses(out, arkit, meshes(), [camera.name for camera in views])
 
 
 def _describe(subject: Subject, options: RenderOptions) -> dict[str, Any]:

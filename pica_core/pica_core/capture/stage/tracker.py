@@ -14,6 +14,8 @@ than across it: images hold a surface better than they hold its sliding. Amounts
 `SPREAD_MM`; they are chosen, not measured on a tracker.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
@@ -207,22 +209,31 @@ TURN_DEG = (2.5, 3.5, 1.5)
 """Standard deviations of nodding, turning and tilting, degrees (chosen: a seated speaker)."""
 SHIFT_M = (0.006, 0.003, 0.006)
 """Standard deviations along x, y and z, metres (chosen)."""
-SCALE_S = 0.9
-"""Time over which the head moves."""
 PIVOT_M = (0.0, -0.09, -0.015)
 """What the head turns about: the top of the neck, head frame."""
 LIMIT = 2.0
 """Signals are held within so many standard deviations."""
 
 
-def head_to_world(seed: int, take: int, time_s: float) -> Float64Array:
+class Motion(NamedTuple):
+    """How much a head moves, against a seated speaker's, and the time over which it does."""
+
+    reach: float = 1.0
+    scale_s: float = 0.9
+
+
+SEATED = Motion()
+
+
+def head_to_world(seed: int, take: int, time_s: float, motion: Motion = SEATED) -> Float64Array:
     """A head's pose in a take of a capture, by the capture's seed and the take's number.
 
     Returns:
         Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``.
     """
     random = np.random.default_rng([seed, 0x4EAD, take])
-    values = LIMIT * np.tanh(smooth_signals(random, 6, SCALE_S, time_s) / LIMIT)
+    signals = smooth_signals(random, 6, motion.scale_s, time_s)
+    values = motion.reach * LIMIT * np.tanh(signals / LIMIT)
     rotation = Rotation.from_rotvec(np.radians(TURN_DEG) * values[:3]).as_matrix()
     pivot = np.array(PIVOT_M)
     shift = pivot - rotation @ pivot + SHIFT_M * values[3:]

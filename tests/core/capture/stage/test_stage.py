@@ -1,5 +1,6 @@
 """The stage, the files it writes, and the reader of those files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,13 @@ def test_the_same_seed_gives_the_same_bytes_also_in_an_interrupted_render(
         Capture.open(out)
     assert render_capture(TINY, out)["resumed"] == 2
     assert files_of(out) == files_of(rendered)
+
+
+def test_two_processes_render_folds_to_the_same_bytes_as_one(tmp_path: Path) -> None:
+    folds = replace(TINY, folds=True)
+    assert render_capture(folds, tmp_path / "one")["resumed"] == 0
+    render_capture(replace(folds, workers=2), tmp_path / "two")
+    assert files_of(tmp_path / "one") == files_of(tmp_path / "two")
 
 
 def test_a_render_into_a_used_directory_is_refused(rendered: Path) -> None:

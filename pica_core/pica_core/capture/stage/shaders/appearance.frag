@@ -1,7 +1,7 @@
 #version 330
 // What each point of a head without textures is made of. Baked once into two textures:
 //   colour  square root of linear diffuse colour; alpha: gloss (0 matt to 1 wet)
-//   relief  red: height (bump), green: how much light passes under the surface
+//   relief  red: height (bump), green: how much light passes under the surface, alpha: 1 to 0.25, how deep a crease skin gets when it folds
 // Lengths are millimetres in the head frame at rest.
 #include "noise.glsl"
 in vec3 rest_mm;
@@ -71,7 +71,7 @@ float brow_hair(vec3 p, out float inside) {
     return inside * smoothstep(0.30 - 0.2 * inside, 0.66 - 0.2 * inside, strand);
 }
 
-void skin(out vec3 rgb, out float gloss, out float height, out float translucent, out float third) {
+void skin(out vec3 rgb, out float gloss, out float height, out float translucent, out float third, out float creased_if_folded) {
     vec3 p = rest_mm;
     float front = smoothstep(eye_mm.z - 50.0, eye_mm.z - 15.0, p.z);
     vec2 q = vec2(abs(p.x), p.y);
@@ -116,6 +116,9 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float fold = exp(-0.5 * pow((q.x - fold_x) / 1.3, 2.0)) * smoothstep(nose_mm.y + 2.0, nose_mm.y - 8.0, p.y) * smoothstep(mouth_mm - 14.0, mouth_mm - 2.0, p.y) * front;
     float perioral = pow(0.5 + 0.5 * cos(p.x * 1.25 + 2.0 * noise(p * 0.25)), 8.0) * spot(p.xy, vec2(0.0, mouth_mm + 11.0), vec2(17.0, 4.0)) * front;
     float neck = pow(0.5 + 0.5 * cos(p.y * 0.42 + 2.5 * noise(p * 0.03 + seed)), 12.0) * smoothstep(mouth_mm - 55.0, mouth_mm - 70.0, p.y);
+    float frown = exp(-0.5 * pow((q.x - 5.5 - 0.15 * (p.y - brow_mm)) / 1.1, 2.0)) * spot(p.xy, vec2(0.0, brow_mm + 1.0), vec2(14.0, 8.0)) * front;
+    float cheek = exp(-0.5 * pow((q.x - fold_x - 8.0) / 1.4, 2.0)) * spot(p.xy, vec2(sign(p.x) * (mouth_half + 12.0), mouth_mm + 4.0), vec2(16.0, 13.0)) * front;
+    creased_if_folded = clamp(lines + frown + feet + 0.8 * bag + fold + 0.6 * cheek + 0.5 * perioral + 0.8 * neck, 0.0, 1.0);
     float creased = age * age * (1.3 * lines + 1.1 * feet + 0.8 * bag + 0.7 * perioral) + 0.8 * age * fold + 0.5 * age * neck;
     rgb *= 1.0 - vec3(0.17, 0.22, 0.22) * min(creased, 1.0);
     height -= 0.40 * min(creased, 1.2) + 0.12 * age * (noise(p * 0.9 + seed) - 0.5);
@@ -206,9 +209,9 @@ void eye(out vec3 rgb, out float gloss, out float inside) {
 void main() {
     vec3 p = rest_mm;
     vec3 rgb = vec3(0.3);
-    float gloss = 0.3, height = 0.5, translucent = 0.0, third = 0.5;
+    float gloss = 0.3, height = 0.5, translucent = 0.0, third = 0.5, folds = 0.0;
     if (material_id == 0) {
-        skin(rgb, gloss, height, translucent, third);
+        skin(rgb, gloss, height, translucent, third, folds);
     } else if (material_id == 1) {
         eye(rgb, gloss, third);
     } else if (material_id == 2) {
@@ -256,5 +259,5 @@ void main() {
         rgb = mix(rgb, pow(image.rgb, vec3(2.2)) * tinted, mix(1.0, image.a, over_paint));
     }
     colour_out = vec4(sqrt(clamp(rgb, 0.0, 1.0)), gloss);
-    relief_out = vec4(height, translucent, third, 1.0);
+    relief_out = vec4(height, translucent, third, 1.0 - 0.75 * folds);
 }

@@ -4,6 +4,7 @@ in vec3 point_m;
 in vec3 shading_normal;
 in vec3 strand_tangent;
 in vec2 open_sky;     // x: share of the dome that is seen, y: share of the key light
+in float fold;         // of skin: 0 smooth, 1 folded
 in vec2 uv;
 const int material_id = MATERIAL;   // a program each: software GL runs every branch
 out vec4 colour_out;
@@ -46,7 +47,8 @@ void strands(vec3 n, vec3 tangent, vec3 v, vec4 relief, vec3 diffuse, float glos
 void main() {
     vec4 stored = texture(colour_map, uv);
     vec4 relief = texture(relief_map, uv);
-    vec3 diffuse = stored.rgb * stored.rgb;
+    float crease = fold * (1.0 - relief.a) / 0.75;
+    vec3 diffuse = stored.rgb * stored.rgb * (1.0 - vec3(0.30, 0.42, 0.44) * crease);
     float gloss = stored.a;
     vec3 n = normalize(shading_normal);
     vec3 v = normalize(camera_m - point_m);
@@ -58,7 +60,7 @@ void main() {
     else if (material_id == 3) { sky = max(sky, 0.30); key = max(key, 0.12); }
     else if (material_id == 4) { sky = max(sky, 0.34); }
     else if (material_id == 6) { sky = max(sky, 0.22); }
-    vec3 nb = bumped(n, relief.r, material_id == 0 ? 0.0008 : (material_id == 6 ? 0.0006 : (material_id == 5 ? 0.0006 : 0.0002)));
+    vec3 nb = bumped(n, relief.r - 0.9 * crease, material_id == 0 ? 0.0008 : (material_id == 6 ? 0.0006 : (material_id == 5 ? 0.0006 : 0.0002)));
     vec3 wrap = relief.g * vec3(0.42, 0.16, 0.08);
     vec3 occluded = pow(vec3(sky), mix(vec3(1.0), vec3(0.72, 1.0, 1.08), relief.g));   // light bleeds red in creases
     vec3 lit = wrapped(nb, key_direction, wrap) * key_light * mix(vec3(key), vec3(sqrt(key), key, key), 0.5 * relief.g)
