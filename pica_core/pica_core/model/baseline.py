@@ -76,14 +76,14 @@ class EqualizedLayer(nn.Module):
 
 
 class Connected(EqualizedLayer):
-    """A fully connected layer."""
+    """A fully connected layer, which scales what it is given: its weights are millions."""
 
     def __init__(self, inputs: int, outputs: int, gain: float = _GAIN) -> None:
         super().__init__((outputs, inputs), inputs, outputs, gain)
 
     def forward(self, values: Tensor) -> Tensor:
         """``[N, inputs]`` to ``[N, outputs]``."""
-        return functional.linear(values, self.weight, self.bias)
+        return functional.linear(self.scale * values, self.held, self.bias)
 
 
 class Halving(EqualizedLayer):

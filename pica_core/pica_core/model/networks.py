@@ -30,13 +30,29 @@ class Untied(nn.Module):
         return features * self.weight if self._is_gain else features + self.weight
 
 
+class Shuffled(nn.Conv2d):
+    """A convolution 1x1 and the pixel shuffle behind it, as one transposed convolution: the same
+    numbers, and channels stay last; on one thread of a CPU half of the time."""
+
+    def forward(self, features: Tensor) -> Tensor:
+        """``[N, C, S, S]`` to ``[N, C', 2 S, 2 S]``."""
+        count, _, size, _ = features.shape
+        assert self.bias is not None
+        weight = self.weight.view(-1, 2, 2, self.in_channels).permute(3, 0, 1, 2)
+        found = functional.conv_transpose2d(features, weight, stride=2).permute(0, 2, 3, 1)
+        # The biases of two rows of texels, as long as rows are.
+        biases = self.bias.view(-1, 2, 2).permute(1, 2, 0)[:, None].expand(2, size, 2, -1)
+        rows = found.reshape(count * size, 2, -1) + biases.reshape(2, -1)
+        return rows.view(found.shape).permute(0, 3, 1, 2)
+
+
 def _module(layer: Layer) -> nn.Module:
     channels, bias = (layer.in_channels, layer.out_channels), layer.has_bias
     match layer.kind:
         case "conv3":
             return nn.Conv2d(*channels, 3, padding=1, bias=bias)
         case "conv1":
-            return nn.Conv2d(*channels, 1, bias=bias)
+            return Shuffled(*channels, 1, bias=bias)
         case "deconv4":
             return nn.ConvTranspose2d(*channels, 4, stride=2, padding=1, bias=bias)
         case "untied_bias" | "untied_gain":
@@ -45,7 +61,7 @@ def _module(layer: Layer) -> nn.Module:
         case "leaky_relu":
             return nn.LeakyReLU(LEAKY_SLOPE)
         case "pixel_shuffle":
-            return nn.PixelShuffle(2)
+            return nn.Identity()  # `Shuffled` did it
 
 
 class MapDecoder(nn.Module):

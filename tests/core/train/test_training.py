@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import nn
+from torch.nn.functional import linear, pixel_shuffle
 
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.triangles import components
 from pica_core.errors import TrainingDivergedError, TrainingError
-from pica_core.model.networks import sample_map
+from pica_core.model import avatar
+from pica_core.model.baseline import Connected
+from pica_core.model.networks import Shuffled, sample_map
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData, rasterise_uv, view_direction
 from pica_core.train.evaluate import evaluate, mean_mse
@@ -64,6 +68,26 @@ def test_a_resumed_run_gives_the_numbers_of_an_uninterrupted_one(
             resumed = trainer.model.state_dict()
 
         assert all(torch.equal(resumed[name], values) for name, values in whole.items())
+
+
+@pytest.mark.parametrize("variant", ["full", "baseline"])
+def test_what_makes_steps_fast_leaves_the_losses_of_twenty_steps_within_rounding(
+    variant: str, data: TrainingData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def losses_of(name: str) -> FloatArray:
+        with open_trainer(data, replace(short(0, 20, 0), variant=variant), tmp_path / name) as run:
+            return np.array([list(run.train_step().values()) for _ in range(20)])
+
+    fast = losses_of("fast")
+    monkeypatch.setattr(avatar, "lay_channels_last", lambda model: None)
+    plain_shuffle = lambda self, x: pixel_shuffle(nn.Conv2d.forward(self, x), 2)  # noqa: E731
+    monkeypatch.setattr(Shuffled, "forward", plain_shuffle)
+    plain_layer = lambda self, x: linear(x, self.weight, self.bias)  # noqa: E731
+    monkeypatch.setattr(Connected, "forward", plain_layer)
+    plain = losses_of("plain")
+    # Each step multiplies what rounding left by two or so.
+    for steps, tolerance in ((1, 1e-5), (5, 1e-3), (20, 3e-2)):
+        np.testing.assert_allclose(fast[:steps], plain[:steps], rtol=tolerance)
 
 
 def test_a_run_of_another_capture_is_not_resumed(
