@@ -65,7 +65,7 @@ OWN = (
     "computer, in about 15 minutes and 3 GB of memory, without a GPU. Once before it: "
     "pica webcam setup. Its last line names the avatar file, which goes under More."
 )
-"""What an avatar of one's own needs, above the command that makes it."""
+"""What an avatar of the user's own needs, above the command that makes it."""
 REFUSALS: dict[int, str] = {
     CloseCode.WRONG_VERSION: "The relay runs another version of PiCA. Update PiCA on this "
     "computer, or ask the relay's operator to update it.",
@@ -312,7 +312,7 @@ def _fields(form: JoinForm) -> None:
 
 
 def own_command(name: str) -> str:
-    """The command that makes an avatar of somebody of this name."""
+    """The command that makes an avatar of a person of this name."""
     return f"pica avatar make --photos FOLDER --name {shlex.quote(name or 'Me')}"
 
 
