@@ -266,7 +266,7 @@ def fit_landmarks(photos: list[Photo], pupils_m: float | None) -> tuple[Solution
     size = None if pupils_m is None else size_of(pupils_m)
     found, priors = first_guess(photos)
     spots = landmark_spots(read_model())
-    for rounds in (5, 8):
+    for rounds, is_rough in ((9, True), (8, False)):
         sights = [landmark_sight(*pair) for pair in zip(photos, found.cameras, strict=True)]
-        found = solve(spots, sights, found, priors, size=size, rounds=rounds)
+        found = solve(spots, sights, found, priors, size=size, rounds=rounds, is_rough=is_rough)
     return found, spots

@@ -27,8 +27,7 @@ from pica_core.types import Array, Float64Array
 EXPRESSION, CALM = 0.03, 0.01
 """Mean of an expression's values, and below which all are alike (chosen: mostly calm)."""
 ROBUST, MEDIAN = 3.0, 1.39
-"""Residuals so many times their noise count a quarter, or so many times the residuals there are: a
-fit that begins far off would let go of all. The median of squares of two numbers of noise."""
+"""Residuals so many times their noise count a quarter; median of the squares of such noise."""
 SIZE_KNOWN = 1e4
 """How surely a head has the size that is known, or the most usual one for its shape: certain."""
 POSE = 6
@@ -107,6 +106,7 @@ def solve(
     *,
     size: tuple[Float64Array, float] | None = None,
     rounds: int = 12,
+    is_rough: bool = False,
 ) -> Solution:
     """Find everything, from a rough start.
 
@@ -115,6 +115,8 @@ def solve(
         focal_prior: Focal length in pixels of each lens, and the spread of its logarithm.
         size: A unit vector in identity, and where along it coefficients lie, which says how large
             the head is; by default as `_usual_size` has it.
+        is_rough: The start may be so far off that all residuals are many times their noise: none is
+            let go that is no farther off than most.
     """
     found, lenses, count = start, len(focal_prior), len(sights)
     base = lenses + NUM_MODES
@@ -146,7 +148,8 @@ def solve(
             right[values] -= calm * found.expressions[k]
             rows, place, apart = _linear(spots, found, k, sight)
             far = np.einsum("ni,nij,nj->n", apart, sight.precision, apart)
-            near = ROBUST**2 * max(1.0, float(np.median(far)) / MEDIAN)
+            spread = float(np.median(far)) / MEDIAN if is_rough else 1.0
+            near = ROBUST**2 * max(spread, 1.0)
             share = 1 / (1 + far / near) ** 2 if turn > 2 else 1 / (1 + far / 100)
             precision = sight.precision * share[:, None, None]
             weighted = np.einsum("nij,njc->nic", precision, rows)
