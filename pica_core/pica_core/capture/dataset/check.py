@@ -15,7 +15,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.files import SPLITS, CaptureFrame
 from pica_core.errors import CaptureError
@@ -52,7 +51,8 @@ def check_capture(directory: Path) -> dict[str, Any]:
 
     Returns:
         ``ok`` (bool), ``problems`` (a line each, which begins with the file), ``frames``,
-        ``cameras``, ``images``, ``split`` (frames by split).
+        ``cameras``, ``images``, ``split`` (frames by split), ``missing`` (how many of the former
+        three there should be, besides).
 
     Raises:
         CaptureError: It cannot be opened: the message names the file.
@@ -74,6 +74,8 @@ def check_capture(directory: Path) -> dict[str, Any]:
             reads.append(partial(capture.image, frame, camera.name))
             if capture.has_depth:
                 reads.append(partial(capture.depth_m, frame, camera.name))
+            if capture.has_masks:
+                reads.append(partial(capture.mask, frame, camera.name))
         for read in reads:
             try:
                 read()
@@ -86,7 +88,12 @@ def check_capture(directory: Path) -> dict[str, Any]:
         problems += _judge_face(capture, capture.frames[::step])
     images = sum(len(capture.cameras_of(frame)) for frame in capture.frames)
     counts = {"frames": len(capture.frames), "cameras": len(capture.cameras), "images": images}
-    return {"ok": not problems, "problems": problems, **counts, "split": split}
+    missing = {
+        "frames": capture.num_listed - len(capture.frames),
+        "cameras": len(capture.missing),
+        "images": len(capture.frames) * len(capture.cameras) - images,
+    }
+    return {"ok": not problems, "problems": problems, **counts, "split": split, "missing": missing}
 
 
 def _see(capture: Capture, frame: CaptureFrame) -> None:
@@ -99,7 +106,7 @@ def _see(capture: Capture, frame: CaptureFrame) -> None:
         seen = np.mean(inside & (pixels < [camera.width, camera.height]).all(axis=1))
         if seen < LEAST_SHOWN:
             raise CaptureError(
-                f"{capture.path / multiface.KRT}: camera {name} sees {seen:.1%} of the mesh of "
+                f"{capture.calibration}: camera {name} sees {seen:.1%} of the mesh of "
                 f"{frame.segment} {frame.name}"
             )
 

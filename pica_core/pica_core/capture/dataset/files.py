@@ -6,7 +6,7 @@ What is missing, damaged or does not fit is a `CaptureError` that names the file
 import csv
 import io
 import json
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -19,13 +19,14 @@ from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
+from pica_core.capture.dataset.members import Member
 from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 SPLITS = ("train", "test")
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
-IMAGE_FORMATS = ("PNG", "JPEG", "WEBP")
+IMAGE_FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
 """What images may be, whatever their names say: other decoders of Pillow run programs."""
 HEAD_SIZE_M = (0.05, 4.0)
 """Longest sides of a mesh's bounding box that are believed: else units are wrong."""
@@ -97,15 +98,16 @@ class Take:
     split: str
 
 
-def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
+def load_image(path: Path | Member, mode: str, size: tuple[int, int] | None) -> Array:
     """Decode an image.
 
     Args:
-        mode: ``RGB``, or ``I;16`` for 16 bit.
+        mode: ``RGB``, ``I;16`` for 16 bit, or ``P`` for 8 bit as they are.
         size: Columns and rows that it must have; None takes any.
     """
     try:
-        with Image.open(path, formats=IMAGE_FORMATS) as image:
+        data = io.BytesIO(multiface.read_bytes(path))
+        with Image.open(data, formats=IMAGE_FORMATS) as image:
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
             if size is not None and image.size != size:
@@ -113,33 +115,71 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
                     f"{path}: the image is {image.width}x{image.height}, {size[0]}x{size[1]} is "
                     "needed"
                 )
-            if mode != "I;16":
+            if mode == "P" and image.mode in ("L", "P"):
+                return np.array(image)
+            if mode == "RGB":
                 return np.array(image.convert(mode))  # writable, as torch wants it
-            if not image.mode.startswith("I"):
-                raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
+            if mode == "P" or not image.mode.startswith("I"):
+                depth = "an 8-bit index" if mode == "P" else "a 16-bit"
+                raise CaptureError(f"{path}: {depth} image is needed, found {image.mode}")
             return np.asarray(image).astype(np.uint16)
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{path}: not a complete image ({error})") from error
 
 
-def read_vertices(path: Path, count: int) -> FloatArray:
-    """A mesh file of `count` vertices, in metres. float32 ``[count, 3]``."""
-    wanted = 12 * count
-    data = multiface.read_bytes(path)
-    if len(data) != wanted:
+NUMBERS = {"float": "f4", "float32": "f4", "double": "f8", "float64": "f8", "uchar": "u1"}
+"""What a vertex of a PLY file may have: places, normals and colours."""
+ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def ply_points(where: Path | Member, data: bytes) -> Float64Array:
+    """The vertices of a PLY file, which come first in it. ``[V, 3]``."""
+    head, _, body = data.partition(b"end_header")
+    fields: list[tuple[str, str]] = []
+    order, count, elements = "", 0, 0
+    try:
+        for line in head.decode("ascii").splitlines():
+            match line.split():
+                case ["format", name, _]:
+                    order = ORDERS[name]
+                case ["element", name, number]:
+                    elements += 1
+                    count = int(number) if (elements, name) == (1, "vertex") else count
+                case ["property", kind, name] if elements == 1:
+                    fields.append((name, order + NUMBERS[kind]))
+        body = body.split(b"\n", 1)[1]
+        if order:
+            table: Any = np.frombuffer(body, np.dtype(fields), count)
+        else:
+            words = np.array(body.split()[: count * len(fields)], np.float64)
+            columns = words.reshape(count, len(fields)).T
+            table = {name: column for (name, _), column in zip(fields, columns, strict=True)}
+        return np.stack([table[axis] for axis in "xyz"], 1).astype(np.float64)
+    except (KeyError, ValueError, IndexError) as error:
+        raise CaptureError(f"{where}: not a whole PLY file of vertices ({error!r})") from error
+
+
+def read_vertices(path: Path | Member, count: int) -> FloatArray:
+    """A mesh file of `count` vertices in mm, plain or PLY, in metres. float32 ``[count, 3]``."""
+    data, wanted = multiface.read_bytes(path), 12 * count
+    if data.startswith(b"ply"):
+        points = ply_points(path, data)
+        if len(points) != count:
+            raise CaptureError(f"{path}: {len(points)} vertices; the topology has {count}")
+    elif len(data) != wanted:
         raise CaptureError(f"{path}: {len(data)} bytes; {count} vertices need {wanted} (float32)")
-    vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
+    else:
+        points = np.frombuffer(data, "<f4").reshape(-1, 3)
+    vertices = points.astype(np.float32) / np.float32(multiface.MILLIMETRES)
     if not np.isfinite(vertices).all():
         raise CaptureError(f"{path}: vertices are not all finite")
     size = float(np.ptp(vertices.astype(np.float64), axis=0).max())
     if not HEAD_SIZE_M[0] <= size <= HEAD_SIZE_M[1]:
         raise CaptureError(f"{path}: the mesh is {size:.3g} m large; are its units mm?")
-    return vertices.astype(np.float32)
+    return vertices
 
 
-def read_transform(path: Path) -> Float64Array:
+def read_transform(path: Path | Member) -> Float64Array:
     """A head pose, translation in metres. float64 ``[3, 4]``."""
     lines = [line.split() for line in multiface.read_text(path).splitlines() if line.strip()]
     try:
@@ -300,16 +340,25 @@ def write_archive(path: Path, **arrays: Any) -> None:
     multiface.write_aside(path, data.getvalue())
 
 
+def write_expressions(path: Path, frames: Sequence[CaptureFrame], values: FloatArray) -> None:
+    """Write the values of frames ``[T, 52]``, as `read_frames` reads them."""
+    lines = [",".join(("segment", "frame", "split", *ARKIT_NAMES))]
+    for frame, arkit in zip(frames, values, strict=True):
+        numbers = ",".join(f"{value:.6g}" for value in arkit)
+        lines.append(f"{frame.segment},{frame.name},{frame.split},{numbers}")
+    multiface.write_aside(path, ("\n".join(lines) + "\n").encode())
+
+
 def write_tables(out: Path, takes: list[Take], info: dict[str, Any]) -> None:
     """Write the list of frames, their expressions, and `capture.json` as the last of all."""
-    lines = [",".join(("segment", "frame", "split", *ARKIT_NAMES))]
-    names = []
-    for take in takes:
-        for index, arkit in enumerate(take.arkit):
-            numbers = ",".join(f"{value:.6g}" for value in arkit)
-            lines.append(f"{take.segment},{index:06d},{take.split},{numbers}")
-            names.append(f"{take.segment} {index:06d}")
-    multiface.write_aside(out / multiface.EXPRESSIONS, ("\n".join(lines) + "\n").encode())
+    frames = [
+        CaptureFrame(segment=take.segment, name=f"{index:06d}", split=take.split)
+        for take in takes
+        for index in range(len(take.arkit))
+    ]
+    values = np.concatenate([take.arkit for take in takes])
+    write_expressions(out / multiface.EXPRESSIONS, frames, values)
+    names = [f"{frame.segment} {frame.name}" for frame in frames]
     multiface.write_aside(out / multiface.FRAME_LIST, ("\n".join(names) + "\n").encode())
     split = {split: [take.segment for take in takes if take.split == split] for split in SPLITS}
     whole = {"schema": multiface.SCHEMA, **info, "split": split}

@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from pica_core.camera import Camera
+from pica_core.capture.dataset.members import Member
 from pica_core.errors import CaptureError
 from pica_core.files import replacing
 from pica_core.types import Float64Array
@@ -54,6 +55,8 @@ MAX_FILE_BYTES = 1 << 30
 """Larger files are refused before reading."""
 MAX_KRT = 1e6
 """No number of a KRT file is larger: pixels, or mm."""
+STRAIGHT = 1e-6
+"""A lens of less distortion has none."""
 DEPTH_UNIT_M = 0.0001
 MILLIMETRES = 1000.0
 
@@ -104,6 +107,7 @@ def krt_text(cameras: Iterable[Camera]) -> str:
 def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
     """Cameras of a KRT file, which does not hold the size of images."""
     cameras: dict[str, Camera] = {}
+    distorted: list[str] = []
     for block in re.split(r"\n\s*\n", read_text(path).strip()):
         name, *lines = block.strip().splitlines()
         where = f"{path}: camera {name.strip()}"
@@ -111,26 +115,54 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
             numbers = np.array([float(word) for line in lines for word in line.split()])
         except ValueError:
             numbers = np.zeros(0)
-        if numbers.shape != (26,) or not np.abs(numbers).max() <= MAX_KRT:
+        if numbers.shape != (26,):
             raise CaptureError(
                 f"{where}: 9 numbers of K, 5 of distortion and 12 of [R|t] are needed"
             )
-        if np.abs(numbers[9:14]).max() > 1e-6:
-            log.warning("%s states lens distortion; its images are taken as undistorted", where)
         if name.strip() in cameras:
             raise CaptureError(f"{where} is there twice")
-        matrix = numbers[14:].reshape(3, 4)
-        if min(numbers[0], numbers[4]) <= 0 or not is_rotation(matrix[:, :3]):
-            raise CaptureError(f"{where}: a focal length is not above 0, or R is no rotation")
-        cameras[name.strip()] = Camera(
-            name=name.strip(),
-            intrinsics=numbers[:9].reshape(3, 3),
-            rotation=matrix[:, :3].copy(),
-            translation_m=matrix[:, 3] / MILLIMETRES,
-            width=width,
-            height=height,
+        distorted += [name.strip()] * bool(np.abs(numbers[9:14]).max() > STRAIGHT)
+        cameras[name.strip()] = make_camera(
+            where,
+            name.strip(),
+            numbers[:9].reshape(3, 3),
+            numbers[14:].reshape(3, 4),
+            width,
+            height,
         )
+    tell_distorted(path, distorted)
     return tuple(cameras.values())
+
+
+def make_camera(
+    where: str, name: str, intrinsics: Float64Array, matrix: Float64Array, width: int, height: int
+) -> Camera:
+    """A camera of K ``[3, 3]`` and world-to-camera ``[R|t]`` in mm ``[3, 4]``.
+
+    Raises:
+        CaptureError: They are no camera's; begins with `where`.
+    """
+    if not max(np.abs(intrinsics).max(), np.abs(matrix).max()) <= MAX_KRT:
+        raise CaptureError(f"{where}: a number is not finite, or beyond {MAX_KRT:g}")
+    if min(intrinsics[0, 0], intrinsics[1, 1]) <= 0 or not is_rotation(matrix[:, :3]):
+        raise CaptureError(f"{where}: a focal length is not above 0, or R is no rotation")
+    return Camera(
+        name=name,
+        intrinsics=intrinsics,
+        rotation=matrix[:, :3].copy(),
+        translation_m=matrix[:, 3] / MILLIMETRES,
+        width=width,
+        height=height,
+    )
+
+
+def tell_distorted(path: Path, names: list[str]) -> None:
+    """Tell once which cameras have a lens distortion, which is not corrected."""
+    if names:
+        log.warning(
+            "%s: camera %s states lens distortion, as do %d more; images are taken as undistorted",
+            path, names[0], len(names) - 1,
+        )  # fmt: skip
 
 
 def is_rotation(matrix: Float64Array) -> bool:
@@ -139,11 +171,10 @@ def is_rotation(matrix: Float64Array) -> bool:
     return off < 1e-3 and float(np.linalg.det(matrix)) > 0
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path | Member) -> bytes:
     """Read a whole file of at most `MAX_FILE_BYTES`."""
     try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
+        if isinstance(path, Path) and (size := path.stat().st_size) > MAX_FILE_BYTES:
             raise CaptureError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
         return path.read_bytes()
     except FileNotFoundError:
@@ -152,7 +183,7 @@ def read_bytes(path: Path) -> bytes:
         raise CaptureError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path | Member) -> str:
     """Read a text file of a capture."""
     try:
         return read_bytes(path).decode()
