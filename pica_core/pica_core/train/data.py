@@ -282,6 +282,10 @@ class ImageCache:
             return np.zeros((unknown.height, unknown.width), np.float32)
         return self._depth(frame, camera).result()
 
+    def mask(self, frame: int, camera: str) -> BoolArray:
+        """Which pixels show the person, where the capture has masks. bool ``[H, W]``."""
+        return self._mask(frame, camera).result()
+
     def texture(self, frame: int, size: int) -> Tensor:
         """The average texture of a frame, about [-1, 1], ``[3, size, size]``."""
         return self._texture(frame, size)
@@ -294,6 +298,8 @@ class ImageCache:
         """Have images decoded while something else goes on."""
         for image in images:
             self._image(*image)
+            if self._capture.has_masks:
+                self._mask(*image)
         for image in images:
             if depth and self._has_depth(*image):
                 self._depth(*image)
@@ -303,6 +309,9 @@ class ImageCache:
 
     def _depth(self, frame: int, camera: str) -> Future[FloatArray]:
         return self._read(self._capture.depth_m, self._capture.frames[frame], camera)
+
+    def _mask(self, frame: int, camera: str) -> Future[BoolArray]:
+        return self._read(self._capture.mask, self._capture.frames[frame], camera)
 
     def camera(self, frame: int, name: str) -> Camera:
         """The camera of an image in the frame's head axes: head to camera."""
@@ -366,6 +375,8 @@ class TrainingData:
         return rng.choice(self.train_frames, count, p=weights / weights.sum()).tolist()
 
 
+PRIOR_FRAMES = 1024
+"""Frames that bases are made of, at most: 2 MB each on the way (a face has some 60 bases)."""
 READ_TEXELS = 8192
 """Texels of a position map that the encoder of bases reads: every sixth or so."""
 RIDGE = 1e-7
@@ -403,7 +414,7 @@ def linear_prior(data: TrainingData) -> LinearPrior:
     Raises:
         CaptureError: Too few meshes.
     """
-    meshes, frames = data.meshes, data.train_frames
+    meshes, frames = data.meshes, spaced(data.train_frames, PRIOR_FRAMES)
     dense_m = np.stack([meshes.best(frame, "dense") for frame in frames])
     tracked_m = np.stack([meshes.best(frame, "tracked") for frame in frames])
     num_dense = dense_m.shape[1]

@@ -204,6 +204,11 @@ def measure_views(
                 continue
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera)
+            if data.capture.has_masks:
+                shown = data.images.mask(frame, view).reshape(-1)[picture.pixels]
+                picture = Picture(picture.pixels[shown], picture.colours[shown])
+                if not shown.any():
+                    continue
             errors.mse.append(mse(picture.colours, image.reshape(-1, 3)[picture.pixels]))
             errors.ssim.append(ssim(picture.on(image), image, picture.covered(camera)))
     measured = {view: errors for view, errors in found.items() if errors.mse}

@@ -223,6 +223,8 @@ class Objectives:
         batch["pictures"] = self._held(lambda place: images.image(*place), "image", places)
         if self._wants_depth:
             batch["depths"] = self._held(lambda place: images.depth_m(*place), "depth", places)
+        if self.data.capture.has_masks:
+            batch["masks"] = self._held(lambda place: images.mask(*place), "mask", places)
         cameras = [images.camera(*place) for place in places]
         return batch | self._seen(cameras, draw)
 
@@ -314,9 +316,12 @@ class Objectives:
         return drawn, self.model.shade(appearance, drawn.surface)
 
     def _image(self, colours: Tensor, batch: Batch, drawn: DrawnPixels) -> Tensor:
-        """The image loss against one picture for each image of a batch."""
+        """The image loss against one picture for each image of a batch, where it is not masked."""
         observed = drawn.of(batch["pictures"]).to(torch.float32) / 255
-        share = equal_shares(drawn.is_drawn)
+        is_shown = drawn.is_drawn
+        if "masks" in batch:
+            is_shown = is_shown & drawn.of(batch["masks"])
+        share = equal_shares(is_shown)
         return IMAGE_WEIGHT * image_loss(colours, observed, share, self.config.chroma)
 
     def _draw(self, count: int, draw: Draw) -> list[int]:

@@ -82,8 +82,8 @@ class ExportOptions:
     """The avatar file to write."""
     name: str
     """Name to show."""
-    licence: str = "Apache-2.0"
-    """Licence of the avatar."""
+    licence: str | None = None
+    """Licence of the avatar; Apache-2.0, of a published capture the data set's."""
     levels: bool = True
     """Fit levels of detail (a minute or two). Without them far heads cost as much as near
     ones."""
@@ -133,9 +133,10 @@ def export(options: ExportOptions) -> dict[str, Any]:
     data = TrainingData(Capture.open(options.capture))
     if not data.capture.has_expressions:
         raise CaptureError(
-            f"{options.capture}: no expressions, so nothing could drive the avatar; a capture with "
-            "expressions.csv is needed"
+            f"{options.capture}: no expressions, so nothing could drive the avatar; "
+            "run pica capture expressions, then train again"
         )
+    theirs = str(data.capture.info["licence"])
     with open_trainer(data, config, options.run) as trainer:
         start = joint_map(trainer.model)
         trainer.restore()
@@ -146,8 +147,8 @@ def export(options: ExportOptions) -> dict[str, Any]:
             model,
             data,
             name=options.name,
-            identity=str(data.capture.info["head"]),
-            licence=options.licence,
+            identity=data.capture.identity,
+            licence=options.licence or (theirs if data.capture.is_published else "Apache-2.0"),
             model_card=model_card(trainer, options.run),
             start=start,
         )
