@@ -93,6 +93,7 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "avatar info": Command("pica_core.cli:avatar_info", ("send",)),
         "avatar make": Command("pica_core.train.cli.make:avatar_make", ("train", "me")),
         "capture check": Command("pica_core.cli:check", ("capture",)),
+        "capture expressions": Command("pica_core.cli:expressions", ("me",)),
         "capture me": Command("pica_core.cli:me", ("me",)),
         "capture person": Command("pica_core.cli:person", ("capture",)),
         "capture rig": Command("pica_core.cli:rig", ("capture",)),

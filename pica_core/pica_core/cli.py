@@ -4,7 +4,8 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from rich.progress import Progress as ProgressBar
 from pica_core.avatar.file import avatar_file, avatar_id, load_avatar
 from pica_core.avatar.spec import pixel_codec_cost
 from pica_core.capture.dataset.check import check_capture
+from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import read_bytes, read_json, write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
@@ -80,17 +82,22 @@ def _render(
     """Render what `make` returns for a side of its baked appearance; show how far it is."""
     side = 1 << (TEXELS_PER_PIXEL * max(options.size_px) - 1).bit_length()
     side = min(max(side, 512), 4096)
-    columns = TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TextColumn("frames")
-    shown = console.is_terminal
     started = time.monotonic()
-    with ProgressBar(*columns, TimeRemainingColumn(), console=console, disable=not shown) as bar:
-        task = bar.add_task("render", total=options.frames)
-        counts = render_subject(
-            lambda: make(side), options, out, lambda done, _: bar.update(task, completed=done)
-        )
+    with _bar(console, "rendering", options.frames) as advance:
+        counts = render_subject(lambda: make(side), options, out, advance)
     seconds = time.monotonic() - started
     console.print(f"{counts['images']} images in {out}, {seconds:.1f} s")
     return {"out": str(out), "seconds": round(seconds, 3), **counts}
+
+
+@contextmanager
+def _bar(console: Console, what: str, frames: int) -> Iterator[Callable[[int, int], None]]:
+    """A bar of frames, on a terminal; gives what is told how many are done."""
+    columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames")
+    shown = console.is_terminal
+    with ProgressBar(*columns, TimeRemainingColumn(), console=console, disable=not shown) as bar:
+        task = bar.add_task(what, total=frames)
+        yield lambda done, _: bar.update(task, completed=done)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,7 +105,7 @@ class CheckOptions:
     """Options of `pica capture check`."""
 
     capture: Path = field(kw_only=False)
-    """Capture directory: one of ours, or a Multiface directory as published."""
+    """Capture directory: one of ours, or a Multiface or Ava-256 directory as published."""
 
 
 def check(options: CheckOptions) -> dict[str, Any]:
@@ -116,7 +123,32 @@ def check(options: CheckOptions) -> dict[str, Any]:
         f"cameras, {result['images']} images",
         markup=False,
     )
+    if any(result["missing"].values()):
+        told = ", ".join(f"{count} {what}" for what, count in result["missing"].items())
+        console.print(f"not there: {told}")
     return result
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExpressionsOptions:
+    """Options of `pica capture expressions`."""
+
+    capture: Path = field(kw_only=False)
+    """A Multiface or Ava-256 directory as published; gets expressions.csv and fitted.npz."""
+
+
+def expressions(options: ExpressionsOptions) -> dict[str, Any]:
+    """Find the 52 values of each frame of a published capture, by the face model's shapes."""
+    from pica_core.capture.me.tracked import fit_capture
+
+    capture = Capture.open(options.capture)
+    if not capture.is_published:
+        raise CaptureError(f"{options.capture}: has its expressions")
+    console = Console(stderr=True, highlight=False)
+    with _bar(console, "fitting", len(capture.frames)) as advance:
+        off_mm = round(1000 * fit_capture(capture, load_networks(), advance), 3)
+    console.print(f"vertices are {off_mm:.2f} mm off in the mean")
+    return {"frames": len(capture.frames), "off_mm": off_mm}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -178,7 +178,7 @@ def fit_face(
             robust = weights / (1 + (apart / (4 * places.noise_m)) ** 2) ** 2
         stiff = np.repeat(np.sqrt(robust) / places.noise_m, 3)
         # A little more turn, shift and size go along, so that neither waits for the other.
-        rows = stiff[:, None] * np.concatenate([columns, -_small_moves(target)], 1)
+        rows = stiff[:, None] * np.concatenate([columns, -small_moves(target)], 1)
         right = stiff * (target - places.mean_m).ravel()
         solved = np.linalg.solve(rows.T @ rows + np.diag(prior**2), rows.T @ right)
         coefficients = np.asarray(solved[:NUM_MODES], np.float64)
@@ -188,7 +188,7 @@ def fit_face(
     return Face(coefficients=coefficients, pose=pose, residual_m=residual)
 
 
-def _small_moves(points: Float64Array) -> Float64Array:
+def small_moves(points: Float64Array) -> Float64Array:
     """How points move in small turns, shifts along the axes, and growth. ``[3 N, 7]``."""
     moves = [np.cross(axis, points) for axis in np.eye(3)]
     moves += [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
