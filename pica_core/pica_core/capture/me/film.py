@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pica_core.capture.me.photos import SIDE, Photo, Tell, photo_of
+from pica_core.capture.me.photos import Photo, Tell, photo_of, upright
 from pica_core.errors import CaptureError
 from pica_core.face_networks import FaceNetworks
 from pica_core.types import Float64Array
@@ -77,10 +77,7 @@ def _frames(path: Path) -> list[tuple[float, Image.Image]]:
                 if last > MOST_S:
                     raise CaptureError(f"{path}: longer than {MOST_S:.0f} s; cut it")
                 if last >= step * len(found):
-                    picture: Image.Image = frame.to_image()  # type: ignore[no-untyped-call]
-                    picture.thumbnail((SIDE, SIDE), Image.Resampling.BOX, reducing_gap=None)
-                    turn = int(getattr(frame, "rotation", 0) or 0)
-                    found.append((last, picture.rotate(turn, expand=True)))
+                    found.append((last, upright(frame)))
                 if len(found) > 2 * LOOKED_AT:  # an unknown length: take every second one
                     found = found[::2]
                     step = found[1][0] - found[0][0]

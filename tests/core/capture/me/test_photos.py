@@ -1,5 +1,6 @@
 """Photos and films of a person: what cannot be used, and a head whose truth is known."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -261,6 +262,30 @@ def test_a_film_gives_one_frame_of_each_view(tmp_path: Path, pictures: list[Byte
     for name, words in (("short.mp4", "at least 2 s are needed"), ("torn.mp4", "not a film")):
         with pytest.raises(CaptureError, match=words):
             choose_frames(tmp_path / name, face_networks(), told.append)
+
+
+def test_a_nersemble_folder_gives_the_first_picture_of_each_camera(
+    tmp_path: Path, pictures: list[ByteArray]
+) -> None:
+    cameras = {str(number): np.eye(4).tolist() for number in range(5)}
+    intrinsics = [[8200.0, 0, 1100], [0, 8200.0, 1604], [0, 0, 1]]
+    (tmp_path / "calibration").mkdir()
+    (tmp_path / "calibration" / "camera_params.json").write_text(
+        json.dumps({"world_2_cam": cameras, "intrinsics": intrinsics})
+    )
+    with pytest.raises(CaptureError, match=r"0 photos; .* names on \.mp4"):
+        photo_paths(tmp_path)
+    images = tmp_path / "sequences" / "SEN-01-a" / "images"
+    images.mkdir(parents=True)
+    for number, picture in enumerate(pictures[:3]):
+        write_film(images / f"cam_{number}.mp4", [picture, pictures[3]], 0.4)
+    (images / "cam_3.mp4").write_bytes(b"no film")
+    told: list[str] = []
+    photos = read_photos(photo_paths(tmp_path), face_networks(), told.append)
+    assert [photo.name for photo in photos] == ["cam_0.mp4", "cam_1.mp4", "cam_2.mp4"]
+    assert photos[0].focal_px == pytest.approx(8200 / np.hypot(2200, 3208) * np.hypot(SIDE, SIDE))
+    assert "4 films, of 5 cameras" in told[0]
+    assert "cam_3.mp4: not a film" in told[1]
 
 
 @pytest.mark.slow
