@@ -57,6 +57,9 @@ MAX_AGE_S = 0.25
 LISTENER_S = 1 / 8
 """How long a listener keeps a face while not everybody can be drawn at every face (chosen: nods and
 smiles are still movements, and speech has the time that this leaves)."""
+SMOOTHING = 0.05
+"""What the newest gap counts in the average time between two frames (chosen: they come unevenly,
+and what heads get must not change with each of them)."""
 STREAM_HOLD_S = 1.0
 """How long the stream of a head that left the screen is still wanted."""
 SCALES = (0.5, 0.75, 1.0)
@@ -95,7 +98,7 @@ class Scheduler:
         self.costs = CostModel()
         self._turns = 0
         self._is_short = False
-        self._since_s = 0.0
+        self._since_s = FACE_S  # between two frames, on average
         self._now = -math.inf
         # Of this frame, by slot and shrink: one plan asks some eight times for each head.
         self._known: dict[tuple[str, float], tuple[int, float]] = {}
@@ -119,7 +122,8 @@ class Scheduler:
             heads: Everybody who has a face, in any order; slots are unique.
             budget_s: What decodes, uploads and drawing of this frame may take, seconds.
         """
-        self._since_s, self._now = min(now - self._now, LISTENER_S), now
+        since_s, self._now = min(now - self._now, LISTENER_S), now
+        self._since_s += SMOOTHING * (since_s - self._since_s)
         self._known.clear()
         seen = sorted((head for head in heads if head.sight.is_visible), key=_lowest_first)
         shrinks = self._fit(seen, budget_s)

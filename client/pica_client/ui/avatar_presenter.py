@@ -112,6 +112,8 @@ class _Peer:
     captured_us: int = 0
     """Sender's clock at the newest sample that was decoded."""
     num_decoded: int = 0
+    num_drawn: int = 0
+    """Those that the last image had."""
     turn: int = 0
     """In which of its turns its face was taken: a listener keeps it until the next comes."""
     is_awaited: bool = False
@@ -324,14 +326,21 @@ class AvatarPresenter:
         dressed = []
         for placement in scene.placements:
             entry = self._peers[placement.slot]
-            is_late = entry.is_awaited or not entry.is_asked_for
-            if entry.drawn is not None and is_late and self._is_waiting(entry, scene.now):
-                # Its pose waits for its face: it is drawn once for both.
-                matrix = entry.drawn.world_from_head
-                placement = replace(placement, world_from_head=matrix)
-            entry.drawn = placement
-            head = entry.head
-            dressed.append(placement if head is None else head.dressed(placement))
+            if entry.head is not None:
+                placement = entry.head.dressed(placement)
+            before = entry.drawn
+            if before is not None and self._is_waiting(entry, scene.now):
+                if entry.is_awaited or not entry.is_asked_for:
+                    # Its pose waits for its face: it is drawn once for both.
+                    placement = replace(placement, world_from_head=before.world_from_head)
+                if (
+                    entry.num_drawn == entry.num_decoded
+                    and (placement.world_from_head == before.world_from_head).all()
+                ):
+                    # Nor is it drawn again for another resolution alone.
+                    placement = replace(placement, scale=before.scale)
+            entry.drawn, entry.num_drawn = placement, entry.num_decoded
+            dressed.append(placement)
         return replace(scene, placements=dressed)
 
     def is_ready(self, scene: CallScene) -> bool:

@@ -16,7 +16,7 @@ from pica_client.render.seats import Layout
 from pica_client.transport.connect import LinkConfig
 from pica_protocol.limits import MAX_PEERS
 
-BUDGET_SHARE = 0.6
+BUDGET_SHARE = 0.7
 """Part of the time between two frames: the rest is for texts, the window system and recording
 (measured with five people at 1280x720 on two cores: 26 images a second, 23 at 0.8, and faces are as
 young)."""

@@ -33,6 +33,8 @@ class Shape {
   fade = FADE_OF_STATUS.waiting;
   glow = 0;
   turn = 0;
+  isResting = false;
+  scale = 1;
   /** @type {Matrix | null} */
   seat = null;
 
@@ -108,9 +110,11 @@ export class Scene {
     const heads = views.flatMap((view) => this.place(view));
     const { shadedPx } = this.scheduler.plan(heads.map(({ head }) => head), budgetS, now);
     heads.sort((a, b) => b.head.sight.headPx - a.head.sight.headPx);
-    const requests = heads.flatMap(({ person, head, look, placement }) => {
-      person.want(head.choice?.every ?? 1);
-      placement.scale = head.choice?.scale ?? 1;
+    const requests = heads.flatMap(({ entry, head, look, placement }) => {
+      entry.person.want(head.choice?.every ?? 1);
+      // Who rests is not drawn again for another resolution alone.
+      if (!entry.isResting) entry.scale = head.choice?.scale ?? 1;
+      placement.scale = entry.scale;
       const request = head.request(now);
       return request ? [{ look, ...request }] : [];
     });
@@ -154,9 +158,10 @@ export class Scene {
       const face = person.faceAt(now);
       // While not everybody can be drawn at every face, listeners keep theirs for a turn.
       const turn = Math.floor(now / LISTENER_S + index / people.length);
-      const isResting = this.scheduler.isShort && !person.isSpeaking && turn === entry.turn;
+      const isWaiting = this.scheduler.isShort && !person.isSpeaking && turn === entry.turn;
+      entry.isResting = Boolean(isWaiting && entry.face && face);
       entry.turn = turn;
-      entry.face = isResting && entry.face && face ? entry.face : face;
+      entry.face = entry.isResting ? entry.face : face;
       return entry;
     });
   }
@@ -208,7 +213,7 @@ export class Scene {
       if (!face) return [];
       [head.matrix, head.latent, head.isListening] =
         [matrix, face.values.subarray(0, 256), !person.isSpeaking];
-      return [{ person, head, look, placement }];
+      return [{ entry, head, look, placement }];
     });
     seeHeads(heads.map(({ head }) => head), camera);
     return heads;

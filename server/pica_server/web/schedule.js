@@ -12,7 +12,7 @@ const SHARE_PX = [12, 32];
 const [LEAST_CHANGE, LEAST_TURN_RAD, FACE_S, MAX_AGE_S] = [0.05, 1e-3, 1 / 30, 0.25];
 export const LISTENER_S = 1 / 8;
 const [STREAM_HOLD_S, STEP, MOST_TURNS, RAISE_RATIO, KEEP_RATIO] = [1, 1.1, 48, 0.95, 0.85];
-const SCALES = [0.5, 0.75, 1];
+const [SMOOTHING, SCALES] = [0.05, [0.5, 0.75, 1]];
 /** @type {Record<Decode, Record<number, number>>} */
 const EXPECTED_DECODE_S = {
   none: {},
@@ -172,7 +172,7 @@ export class CostModel {
 export class Scheduler {
   isShort = false;
   _turns = 0;
-  _sinceS = 0;
+  _sinceS = FACE_S;
   _now = -Infinity;
 
   /** @param {Costs} costs */
@@ -183,7 +183,8 @@ export class Scheduler {
   /** Choose what everybody gets in the frame that begins now; each head is told.
    * @param {Head[]} heads @param {number} budgetS @param {number} now */
   plan(heads, budgetS, now) {
-    [this._sinceS, this._now] = [Math.min(now - this._now, LISTENER_S), now];
+    this._sinceS += SMOOTHING * (Math.min(now - this._now, LISTENER_S) - this._sinceS);
+    this._now = now;
     const seen = heads.filter(({ sight }) => sight !== NOTHING);
     // What a head has counts as height: two who sway side by side must not change places.
     const heights = new Map(seen.map((head) =>

@@ -82,6 +82,22 @@ def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
     assert num_faces <= len(seen["p2"]) <= num_faces + 2
 
 
+def test_a_resting_listener_is_not_drawn_again_for_another_resolution() -> None:
+    seen = []
+    for number, (presenter, _, scene, now) in enumerate(
+        images(MovingFaces(), {"p1": 0, "p2": 127}, 0.0)
+    ):
+        presenter.collect(now)
+        for head in (peer.head for peer in presenter._peers.values()):
+            if head is not None and head.choice is not None:
+                head.choice = head.choice._replace(scale=0.5 if number % 2 else 0.75)
+        seen.append(presenter.dressed(scene).placements)
+    looks = [[(each.world_from_head.tobytes(), each.scale) for each in pair] for pair in seen[1:]]
+    speaker, listener = ({look[number] for look in looks} for number in (0, 1))
+    assert len(speaker) == len({pose for pose, _ in speaker}) == 30
+    assert len(listener) == len({pose for pose, _ in listener}) <= 10
+
+
 @pytest.mark.parametrize("pace", [0.2, 1.0])
 def test_a_face_that_waits_for_its_decode_is_the_newest_by_then(pace: float) -> None:
     """Whether a change is too small to be decoded at once, or drawing leaves no time for it."""
