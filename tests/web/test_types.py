@@ -13,10 +13,10 @@ pytestmark = pytest.mark.unit
 HERE = Path(__file__).parent
 WEB = ROOT / "server" / "pica_server" / "web"
 KINDS = {".js", ".ts", ".html", ".css"}
-LATER = {"camera.js", "face.js", "finder.js", "live_face.js", "networks.js", "xr.js"}
+LATER = {"camera.js", "face.js", "finder.js", "live_face.js", "networks.js", "upload.js", "xr.js"}
 """What is loaded when it is asked for: one's own face, a camera, a headset."""
-MAX_LINES, MAX_BYTES = 5_156, 221_600
-MAX_LATER_LINES, MAX_LATER_BYTES = 1_100, 48_500
+MAX_LINES, MAX_BYTES = 5_184, 222_600
+MAX_LATER_LINES, MAX_LATER_BYTES = 1_140, 50_200
 
 
 def test_modules_are_typed() -> None:

@@ -16,7 +16,8 @@ export const SINE_LAYERS = [
   ["xyz.0", 3, 4], ["xyz.1", 4, 4],
   ["pixel.0", 16, 8], ["pixel.1", 8, 8], ["pixel.2", 8, 8], ["pixel.3", 8, 3],
 ];
-const [MAX_FILE_BYTES, MAX_HEADER_BYTES] = [64 * 2 ** 20, 256 * 2 ** 10];
+export const MAX_FILE_BYTES = 64 * 2 ** 20;
+const MAX_HEADER_BYTES = 256 * 2 ** 10;
 const [MAX_SIDE, MAX_VERTICES, MAX_COMPONENTS, MAX_COVER] = [16_384, 200_000, 4e6, 4];
 const [MAX_EXTENT_M, MAX_SCALE_M, MAX_SCALE] = [0.45, 10, 1e6];
 const [SEAM, STATIC] = [1, 2];

@@ -1,16 +1,16 @@
 /** A call: who is in the room, and the face of each at display time. */
 
-import { openAvatar } from "./avatar.js";
+import { MAX_FILE_BYTES, openAvatar } from "./avatar.js";
 import { seconds } from "./clock.js";
 import { LatentError, decodeFace, openEncoder } from "./latent_stream.js";
 import { Link } from "./link.js";
 import { Playout } from "./playout.js";
 import { Guard, readSecret } from "./sframe.js";
 import { Voice } from "./voice.js";
+import { fromBase64, said } from "./wire.js";
 
 const [LOWER_INTERVAL_S, STALE_AFTER_S] = [1, 2];
 const PLACE_IS_KEPT_S = 120;
-const MAX_AVATAR_BYTES = 64 * 2 ** 20;
 /** Between two tries to get an avatar file, which its owner may still be giving. */
 const FETCH_WAITS_S = [0.5, 1, 2, 4, 8];
 const TICK_MS = 250;
@@ -43,13 +43,17 @@ export async function getFile(base, id) {
   const response = await fetch(new URL(`avatars/${id}`, base), { credentials: "omit" });
   if (response.status === 404) throw new Error("the relay does not have the avatar yet");
   if (!response.ok) throw new Error(`no avatar: the relay answers HTTP ${response.status}`);
-  const isLarge = Number(response.headers.get("Content-Length")) > MAX_AVATAR_BYTES;
+  const isLarge = Number(response.headers.get("Content-Length")) > MAX_FILE_BYTES;
   if (isLarge) throw new Error("the avatar's file is too large");
   const bytes = await response.arrayBuffer();
-  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
-  const hex = Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
-  if (hex !== id) throw new Error("the relay gave another file than asked for");
+  if (await idOf(bytes) !== id) throw new Error("the relay gave another file than asked for");
   return bytes;
+}
+
+/** The id of a file: its SHA-256. @param {ArrayBuffer} bytes */
+export async function idOf(bytes) {
+  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
+  return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 /** A member of the room, and what has come of its face. */
@@ -418,16 +422,12 @@ export class Call extends EventTarget {
   }
 }
 
-/** @param {unknown} error */
-const said = (error) => (error instanceof Error ? error.message : String(error));
-
 /** What a token says of its owner; the relay checks it. @param {string} token @returns {{name?:
  * string, publish?: boolean}} */
 function claimsOf(token) {
   try {
-    const text = atob(token.split(".")[1].replaceAll("-", "+").replaceAll("_", "/"));
     const { name, publish } =
-      JSON.parse(new TextDecoder().decode(Uint8Array.from(text, (char) => char.charCodeAt(0))));
+      JSON.parse(new TextDecoder().decode(fromBase64(token.split(".")[1])));
     return { ...(typeof name === "string" ? { name } : {}), publish: publish === true };
   } catch {
     return {};

@@ -3,6 +3,7 @@
 
 import { getFile } from "./call.js";
 import { seconds } from "./clock.js";
+import { said } from "./wire.js";
 
 /** SHA-256 of `face_landmarker.task`. */
 const NETWORKS = "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff";
@@ -71,7 +72,7 @@ export class Camera {
       }
     } catch (error) {
       const known = error instanceof DOMException && REASONS[error.name];
-      this.close(known || `no camera: ${error instanceof Error ? error.message : error}`);
+      this.close(known || `no camera: ${said(error)}`);
     }
   }
 

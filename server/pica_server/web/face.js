@@ -6,6 +6,7 @@
 import { seconds } from "./clock.js";
 import { NUM_ARKIT, encodeFace } from "./latent_stream.js";
 import { clamp } from "./space.js";
+import { fromBase64 } from "./wire.js";
 
 /** @typedef {Record<string, {shape: number[], values: ArrayLike<number>}>} Weights */
 
@@ -34,8 +35,7 @@ async function loadWeights(url) {
   /** @type {Record<string, {shape: number[], halfs: string}>} */
   const stored = await (await fetch(url)).json();
   return Object.fromEntries(Object.entries(stored).map(([name, { shape, halfs }]) => {
-    const bytes = Uint8Array.from(atob(halfs), (char) => char.charCodeAt(0));
-    return [name, { shape, values: new Float16Array(bytes.buffer) }];
+    return [name, { shape, values: new Float16Array(fromBase64(halfs).buffer) }];
   }));
 }
 

@@ -81,8 +81,8 @@ function merged(boxes) {
 const regionAt = (x, y, size, right, left) => ({ x, y, side: MARGIN * size,
   angle: Math.atan2(left[1] - right[1], left[0] - right[0]) });
 
-/** The head's turn (axis times angle) and its place before the camera, metres.
- * @type {(landmarks: Vector[], head: Numbers["head"], width: number, height: number) => number[]} */
+/** The head's turn (axis times angle) and its place before the camera, metres. @type {(landmarks:
+ * Vector[], head: Numbers["head"], width: number, height: number) => number[]} */
 export function headPose(landmarks, head, width, height) {
   /** @param {Vector[]} points */
   const centred = (points) => {

@@ -7,6 +7,7 @@
 import { Call } from "./call.js";
 import { Picture } from "./scene.js";
 import { CallView, element } from "./ui.js";
+import { said } from "./wire.js";
 
 const query = new URLSearchParams(location.search);
 const fragment = new URLSearchParams(location.hash.slice(1));
@@ -22,7 +23,7 @@ const picture = load("shaders.json")
 
 /** One clear line, in the form. @param {unknown} problem */
 function complain(problem) {
-  element("problem").textContent = problem instanceof Error ? problem.message : String(problem);
+  element("problem").textContent = said(problem);
   element("call").hidden = true;
   element("join").hidden = false;
 }
@@ -95,11 +96,23 @@ function begin() {
   load("avatars.json").then((ids) => {
     avatar.append(...Object.entries(ids).map(([text, id]) => new Option(text, id)));
   }, () => {});
-  element("join").addEventListener("submit", (event) => {
+  /** @type {HTMLInputElement} */
+  const own = element("file");
+  element("join").addEventListener("submit", async (event) => {
     event.preventDefault();
     remembered(name.value);
     element("problem").textContent = "";
-    enter(name.value.trim(), avatar.value).catch(complain);
+    /** @type {HTMLButtonElement} */ (element("begin")).disabled = true;
+    try {
+      const [file] = own.files ?? [];
+      const id = file ? await (await import("./upload.js")).giveAvatar(file,
+        new URL(".", location.href), fragment.get("token") ?? "") : avatar.value;
+      await enter(name.value.trim(), id);
+    } catch (error) {
+      complain(error);
+    } finally {
+      /** @type {HTMLButtonElement} */ (element("begin")).disabled = false;
+    }
   });
 }
 

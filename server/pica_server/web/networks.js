@@ -5,8 +5,8 @@
 
 /** @typedef {{shape: number[], size: number, at: number, data: Float32Array, stored: Float32Array |
  * null}} Tensor Where it lies; `stored` is what it holds for good. */
-/** @typedef {(...numbers: number[]) => void} Work @typedef {{multiply: Work, addTimes: Work, rectify:
- * Work}} Program */
+/** @typedef {(...numbers: number[]) => void} Work @typedef {{multiply: Work, addTimes: Work,
+ * rectify: Work}} Program */
 /** @typedef {{inputs: Tensor[], out: Tensor, option: (index: number) => number, isFree: boolean,
  * more: (shape: number[], stored?: Float32Array) => Tensor}} Step One operation; whether its first
  * input is of no further use; `more` makes a tensor. */
@@ -283,11 +283,12 @@ const pad = ({ inputs: [a], out }) => () => {
     out.data.set(a.data.subarray(at, at + few), to);
   }
 };
-/** The same numbers, or the first of them. @type {Operation} */
-const copy = ({ inputs: [a], out }) => () => out.data.set(a.data.subarray(0, out.size));
-/** One after the other: along the first axis that has any length. @type {Operation} */
-const join = ({ inputs, out }) => () =>
-  void inputs.reduce((at, { data }) => (out.data.set(data, at), at + data.length), 0);
+/** One after the other, along the first axis that has any length, as many as there is room for.
+ * @type {Operation} */
+const copy = ({ inputs, out }) => () => void inputs.reduce((at, { data }) => {
+  out.data.set(data.subarray(0, out.size - at), at);
+  return Math.min(at + data.length, out.size);
+}, 0);
 /** @type {Operation} */
 function transpose({ inputs: [a, axes], out }) {
   const places = spread(a.shape, out.shape, Array.from(axes.stored ?? []));
@@ -321,7 +322,7 @@ function plus(step) {
 
 /** By their codes in the file. @type {Record<number, Operation>} */
 const OPERATIONS = {
-  0: plus, 2: join, 3: convolve, 4: convolveChannels, 14: each((a) => 1 / (1 + Math.exp(-a))),
+  0: plus, 2: copy, 3: convolve, 4: convolveChannels, 14: each((a) => 1 / (1 + Math.exp(-a))),
   17: pool, 18: each((a, b) => a * b), 19: rectify, 22: copy, 34: pad, 39: transpose,
   40: reduce(true), 41: each((a, b) => a - b), 42: each((a, b) => a / b), 45: copy, 54: rectify,
   59: each((a) => -a), 74: reduce(false), 75: each(Math.sqrt), 76: each((a) => 1 / Math.sqrt(a)),

@@ -10,6 +10,7 @@ import { CostModel, Head, LISTENER_S, Scheduler, seeHeads } from "./schedule.js"
 import { HOME, headRect, nearing, orbitLimits, planCamera, planSeats, SHOULDERS_M,
   USUAL_SPAN } from "./seats.js";
 import { clamp, column, headMatrix } from "./space.js";
+import { said } from "./wire.js";
 
 const [MAX_PX, BUDGET_SHARE] = [3840 * 2160, 0.6];
 const [SOFTWARE_FPS, DISPLAY_FPS] = [30, 60];
@@ -104,8 +105,7 @@ export class Scene {
   }
 
   /** Plan, decode and draw views, of which the first has the room.
-   * @type {(views: Stage[], target: Target, budgetS: number, now: number) => ReturnType<Renderer["draw"]>
-   * & {decodesS: number, shadedPx: number}} */
+   * @param {Stage[]} views @param {Target} target @param {number} budgetS @param {number} now */
   show(views, target, budgetS, now) {
     const heads = views.flatMap((view) => this.place(view));
     const { shadedPx } = this.scheduler.plan(heads.map(({ head }) => head), budgetS, now);
@@ -177,7 +177,7 @@ export class Scene {
       entry.shouldersM = avatar.bust().widthM;
       entry.span = avatar.manifest.view_span;
     } catch (error) {
-      entry.problem = error instanceof Error ? error.message : String(error);
+      entry.problem = said(error);
     }
   }
 

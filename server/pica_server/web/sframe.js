@@ -3,7 +3,7 @@
  * Formats and rules are those of docs/privacy.md; `pica_client.e2ee` is the Python side.
  */
 
-import { encodeHeader } from "./wire.js";
+import { encodeHeader, fromBase64 } from "./wire.js";
 
 const { subtle } = crypto;
 const FACE_BYTES = 48;
@@ -436,6 +436,5 @@ export class Guard {
 export function readSecret(text) {
   const found = /^(?:pica-secret-1:)?([A-Za-z0-9_-]{43})=?\s*$/.exec(text);
   if (found === null) throw new SealError("the link's secret is no room secret");
-  return Uint8Array.from(atob(found[1].replaceAll("-", "+").replaceAll("_", "/")),
-    (char) => char.charCodeAt(0));
+  return fromBase64(found[1]);
 }

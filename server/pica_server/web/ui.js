@@ -1,6 +1,7 @@
 /** What the user sees and does in a call: names, the bar of buttons, keys and gestures. */
 
 import { HOME, LAYOUTS } from "./seats.js";
+import { said } from "./wire.js";
 
 const [ORBIT_PER_PX, MAX_ORBIT, ZOOM_PER_STEP, KEY_STEP_PX, TAP_PX] = [0.005, 1.3, 1.1, 24, 6];
 const [MIN_ZOOM, MAX_ZOOM] = [0.4, 12];
@@ -162,7 +163,7 @@ export class CallView {
       },
       headset: () => void import("./xr.js").then(({ enterHeadset }) =>
         enterHeadset(this.picture, () => this.call.participants)).catch((error) =>
-        this.call.voice.say(`no headset: ${error instanceof Error ? error.message : error}`)),
+        this.call.voice.say(`no headset: ${said(error)}`)),
       camera: () => void this.call.toggleCamera(),
       reset: () => Object.assign(this.wanted, { pinned: "", orbit: { ...HOME } }),
       leave: () => this.call.leave(),

@@ -10,14 +10,24 @@ const [HEADER_BYTES, TICK_US, TICKS] = [8, 100, 2 ** 21];
 const encoder = new TextEncoder();
 const decoder = new TextDecoder("utf-8", { fatal: true });
 
+/** What is wrong, in one line. @param {unknown} error */
+export const said = (error) => (error instanceof Error ? error.message : String(error));
+/** Bytes of base64, also of that for links. @param {string} text */
+export const fromBase64 = (text) => Uint8Array.from(
+  atob(text.replaceAll("-", "+").replaceAll("_", "/")), (char) => char.charCodeAt(0));
+
 /** What is no message: close with 4000. */
 export class WireError extends Error {}
 
-/** Write text, whole numbers up to 65,535, true and false, bytes, lists or maps.
+/** Write text, whole numbers below 2^32, true and false, bytes, lists or maps.
  * @param {any} value @returns {number[]} */
 function pack(value) {
   if (typeof value === "boolean") return [value ? 0xc3 : 0xc2];
-  if (typeof value === "number") return value < 128 ? [value] : sized(0, 0, 0xcc, value);
+  if (typeof value === "number") {
+    if (value < 128) return [value];
+    const [high, low] = [Math.floor(value / 65_536), value % 65_536];
+    return high ? [0xce, high >> 8, high & 255, low >> 8, low & 255] : sized(0, 0, 0xcc, value);
+  }
   if (value instanceof Uint8Array) return [...sized(0, 0, 0xc4, value.length), ...value];
   if (Array.isArray(value)) return [0x90 | value.length, ...value.flatMap(pack)];
   if (typeof value === "string") {

@@ -1,6 +1,7 @@
 /** The room in a headset, by WebXR: people around a table at true scale, seen from its near side.
  * Tried in an emulator alone. */
 
+import { seconds } from "./clock.js";
 import { planTable } from "./seats.js";
 import { along } from "./space.js";
 
@@ -54,7 +55,7 @@ export async function enterHeadset(picture, people) {
         return { camera, rect: [x, y, x + wide, y + high] };
       });
       const target = { framebuffer, width, height, number: ++number };
-      picture.scene.drawFrom(eyes, present, table.seats, target, BUDGET_S, performance.now() / 1000);
+      picture.scene.drawFrom(eyes, present, table.seats, target, BUDGET_S, seconds());
     };
     session.requestAnimationFrame(draw);
     await ended;
