@@ -1,4 +1,4 @@
-"""Directories as Ava-256 and NeRSemble v2 publish theirs, of a rendered capture of nobody."""
+"""Directories as Ava-256 and NeRSemble v2 publish theirs, of a rendered capture."""
 
 import io
 import json
