@@ -138,11 +138,15 @@ def test_a_camera_moves_the_face_that_others_see(
             time.sleep(2)
             assert len(faces) > 5  # the head sways on
             assert (faces[-1].sample.latent.ravel() - closed) @ way < 0.2
-            tab.value(
-                "navigator.mediaDevices.getUserMedia = async () => {"
-                "throw new DOMException('', 'NotAllowedError')}; camera.click()"
-            )
-            _line(tab, "not allowed to use the camera: your voice moves your mouth")
+            for name, line in (
+                ("NotAllowedError", "the browser was not allowed to use the camera"),
+                ("NotFoundError", "there is no camera"),
+            ):
+                tab.value(
+                    "navigator.mediaDevices.getUserMedia = async () => {"
+                    f"throw new DOMException('', '{name}')}}; camera.click()"
+                )
+                _line(tab, f"{line}: your voice moves your mouth")
             # A picture has nowhere to go.
             hosts = {each.split("/", 3)[2] for each in tab.requests if each != "about:blank"}
             assert hosts == {relay.removeprefix("ws://")}

@@ -36,6 +36,8 @@ def test_files_are_kept_for_good_under_a_name_that_changes_with_them() -> None:
         assert file.text == script
         assert file.content_type.startswith("text/javascript")
         assert "immutable" in file.headers["Cache-Control"]
+        # Of a worker, which sees a camera's pictures: it can send nothing.
+        assert file.headers["Content-Security-Policy"].startswith("default-src 'none'; script-src")
         folders.append(path)
     assert folders[0] != folders[1]
 
