@@ -98,7 +98,9 @@ def unsteady_tracking(folder: Path, capture: Capture, random: np.random.Generato
         turn = Rotation.from_rotvec(np.radians(random.normal(0, 1, 3))).as_matrix()
         mesh = capture.vertices_m(frame) @ turn.T + random.normal(0, 0.002, 3)
         data = (multiface.MILLIMETRES * mesh).astype("<f4").tobytes()
-        multiface.write_aside(folder / multiface.mesh_path(frame.segment, frame.name), data)
+        multiface.write_aside(
+            folder / multiface.part_path("tracked_mesh", frame.segment, frame.name), data
+        )
 
 
 def few_frames(folder: Path, capture: Capture, random: np.random.Generator) -> None:
@@ -107,7 +109,7 @@ def few_frames(folder: Path, capture: Capture, random: np.random.Generator) -> N
     kept = {frames[at] for at in np.linspace(0, len(frames) - 1, 16).round().astype(int)}
     for frame in frames:
         if frame not in kept:
-            (folder / multiface.mesh_path(frame.segment, frame.name)).unlink()
+            (folder / multiface.part_path("tracked_mesh", frame.segment, frame.name)).unlink()
 
 
 def nothing(folder: Path, capture: Capture, random: np.random.Generator) -> None:

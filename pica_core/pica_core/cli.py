@@ -141,7 +141,7 @@ def expressions(options: ExpressionsOptions) -> dict[str, Any]:
     """Find the 52 values of each frame of a published capture, by the face model's shapes."""
     from pica_core.capture.me.tracked import fit_capture
 
-    capture = Capture.open(options.capture)
+    capture = Capture.open(options.capture, take_fit=False)
     if not capture.is_published:
         raise CaptureError(f"{options.capture}: has its expressions")
     console = Console(stderr=True, highlight=False)

@@ -319,7 +319,7 @@ class ImageCache:
 
     def _has_depth(self, frame: int, camera: str) -> bool:
         where = self._capture.frames[frame]
-        path = multiface.image_path("depth", where.segment, camera, where.name)
+        path = multiface.part_path("depth", where.segment, where.name, camera)
         return self._capture.has_depth and (self._capture.path / path).is_file()
 
     def _texture_of(self, frame: int, size: int) -> Tensor:

@@ -170,7 +170,7 @@ class Capture:
         texture_size: Side of the average textures, texels.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, take_fit: bool = True) -> None:
         self.path = path
         self.missing: tuple[str, ...] = ()
         self.left_out: tuple[str, ...] = ()
@@ -184,7 +184,8 @@ class Capture:
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
         self.num_listed, self._to_ours = len(frames), np.eye(3, 4)
-        self._is_fitted = self.is_published and (path / multiface.EXPRESSIONS).is_file()
+        self._is_fitted = take_fit and self.is_published
+        self._is_fitted &= (path / multiface.EXPRESSIONS).is_file()
         if self._is_fitted:
             frames = self._take_fit(frames)
         self.frames = self._usable(frames)
@@ -215,7 +216,7 @@ class Capture:
         height, width = _first_size(images.glob("*/*/*.png"), images)
         self._set_info("Multiface", "that of its publisher", _texture_size(self.path))
         self.info |= {"width": width, "height": height}
-        meshes = (multiface.mesh_path(each.segment, each.name) for each in frames)
+        meshes = (multiface.part_path("tracked_mesh", f.segment, f.name) for f in frames)
         obj = next(
             (p for m in meshes if (p := (self.path / m).with_suffix(".obj")).is_file()), None
         )
@@ -242,17 +243,10 @@ class Capture:
             frame.name in listed(frame.segment, camera)
         )
 
-        def at(kind: str, frame: CaptureFrame, camera: str = "") -> Path:
-            segment, name = frame.segment, frame.name
-            if camera:
-                return self.path / multiface.image_path(kind, segment, camera, name)
-            if kind == "pose":
-                return self.path / multiface.transform_path(segment, name)
-            if kind == "texture":
-                return self.path / multiface.texture_path(self.texture_size, segment, name)
-            return self.path / multiface.mesh_path(segment, name, kind)
-
-        self._at: Callable[..., Path | Member] = at
+        size = self.texture_size
+        self._at: Callable[..., Path | Member] = lambda kind, frame, camera="": (
+            self.path / multiface.part_path(kind, frame.segment, frame.name, camera, size=size)
+        )
 
     def _describe_ava(self) -> tuple[CaptureFrame, ...]:
         root = self.path
@@ -357,12 +351,13 @@ class Capture:
         return None
 
     @classmethod
-    def open(cls, path: str | Path) -> "Capture":
+    def open(cls, path: str | Path, *, take_fit: bool = True) -> "Capture":
         """Open a capture directory and check what describes it; images and meshes are checked when
         read.
 
         Args:
             path: The directory: one of ours, or a Multiface or Ava-256 directory as published.
+            take_fit: Whether to take over what was fitted to a published one.
         """
         root = Path(path)
         if not root.is_dir():
@@ -377,7 +372,7 @@ class Capture:
             raise CaptureError(
                 f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
             )
-        return cls(root)
+        return cls(root, take_fit=take_fit)
 
     @property
     def identity(self) -> str:
@@ -424,15 +419,11 @@ class Capture:
 
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
-        found = self.raw_vertices_m(frame)
+        place = self._at("tracked_mesh", frame)
+        found = files.read_vertices(place, self._num_mesh_vertices)[self._mesh_vertex]
         if not self._is_fitted:
             return found
         return (found @ self._to_ours[:, :3].T + self._to_ours[:, 3]).astype(np.float32)
-
-    def raw_vertices_m(self, frame: CaptureFrame) -> FloatArray:
-        """The same in the head frame of the files."""
-        place = self._at("tracked_mesh", frame)
-        return files.read_vertices(place, self._num_mesh_vertices)[self._mesh_vertex]
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``."""

@@ -61,24 +61,16 @@ DEPTH_UNIT_M = 0.0001
 MILLIMETRES = 1000.0
 
 
-def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:
-    """Relative path of an ``images`` or ``depth`` file."""
-    return Path(kind) / segment / camera / f"{frame}.png"
-
-
-def mesh_path(segment: str, frame: str, kind: str = "tracked_mesh") -> Path:
-    """Relative path of a ``tracked_mesh`` or ``truth_mesh`` file."""
+def part_path(kind: str, segment: str, frame: str, camera: str = "", *, size: int = 0) -> Path:
+    """Relative path of a part of a frame: ``images`` or ``depth`` of a camera, ``tracked_mesh`` or
+    ``truth_mesh``, the head's ``pose``, or its average ``texture`` of this size."""
+    if camera:
+        return Path(kind) / segment / camera / f"{frame}.png"
+    if kind == "pose":
+        return Path("tracked_mesh") / segment / f"{frame}_transform.txt"
+    if kind == "texture":
+        return Path(f"unwrapped_uv_{size}") / segment / "average" / f"{frame}.png"
     return Path(kind) / segment / f"{frame}.bin"
-
-
-def transform_path(segment: str, frame: str) -> Path:
-    """Relative path of a frame's head-to-world transform."""
-    return Path("tracked_mesh") / segment / f"{frame}_transform.txt"
-
-
-def texture_path(size: int, segment: str, frame: str) -> Path:
-    """Relative path of an average texture."""
-    return Path(f"unwrapped_uv_{size}") / segment / "average" / f"{frame}.png"
 
 
 def write_aside(path: Path, data: bytes) -> None:

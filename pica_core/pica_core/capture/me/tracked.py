@@ -43,8 +43,8 @@ SHOWN_M = 0.0003
 def fit_capture(
     capture: Capture, networks: FaceNetworks, progress: Callable[[int, int], None]
 ) -> float:
-    """Fit the face model to a published capture; write what was found into its directory, where
-    `Capture.open` reads it.
+    """Fit the face model to a published capture that was opened without a fit; write what was found
+    into its directory, where `Capture.open` reads it.
 
     Returns:
         How far vertices move as no shape does, metres, in the mean.
@@ -54,7 +54,7 @@ def fit_capture(
     """
     frames = [f for f in capture.frames if "neutral" in f.segment.lower()] or list(capture.frames)
     frames = frames[:: -(-len(frames) // NEUTRAL_FRAMES)]
-    raw = np.median([capture.raw_vertices_m(frame) for frame in frames], axis=0).astype(np.float64)
+    raw = np.median([capture.vertices_m(frame) for frame in frames], axis=0).astype(np.float64)
     faces, count = capture.topology.faces, len(capture.frames)
     scan = Scan(
         path=capture.path,
@@ -81,7 +81,7 @@ def fit_capture(
     cost = np.r_[np.full(NUM_ARKIT, SMALL_M2), [1e-12] * 6]
 
     def offsets(number: int) -> Float64Array:
-        moved = capture.raw_vertices_m(capture.frames[number]) @ turn.T + shift
+        moved = capture.vertices_m(capture.frames[number]) @ turn.T + shift
         return np.asarray(moved - neutral).ravel()
 
     def solver(weights: Float64Array) -> Callable[[Float64Array], Float64Array]:

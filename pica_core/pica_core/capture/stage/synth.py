@@ -270,20 +270,20 @@ class _Rendering:
                 ("images", partial(np.asarray, view.image)),
                 ("depth", partial(depth_units, view.depth_m)),
             ):
-                path = multiface.image_path(kind, take.segment, camera.name, frame)
+                path = multiface.part_path(kind, take.segment, frame, camera.name)
                 self.writer.image(self.out / path, make)
-        path = multiface.texture_path(self.options.texture_size, take.segment, frame)
+        path = multiface.part_path("texture", take.segment, frame, size=self.options.texture_size)
         self.writer.image(self.out / path, lambda: np.ascontiguousarray(texture[::-1]))
         rows = np.concatenate([pose[:, :3], multiface.MILLIMETRES * pose[:, 3:]], axis=1)
         text = "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in rows)
         multiface.write_aside(
-            self.out / multiface.transform_path(take.segment, frame), text.encode()
+            self.out / multiface.part_path("pose", take.segment, frame), text.encode()
         )
         tracked = self.tracker.follow(exact[self.tracked], number, time_s)
-        truth = multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
+        truth = multiface.part_path(multiface.TRUTH_MESH, take.segment, frame)
         multiface.write_aside(self.out / truth, _millimetres(exact).tobytes())
         self.writer.finish()
-        mesh = multiface.mesh_path(take.segment, frame)
+        mesh = multiface.part_path("tracked_mesh", take.segment, frame)
         multiface.write_aside(self.out / mesh, _millimetres(tracked).tobytes())
 
 
@@ -298,7 +298,7 @@ Frame = tuple[int, Take, int]
 def _mesh_of(out: Path, frame: Frame) -> Path:
     """The last file that is written of a frame."""
     _, take, index = frame
-    return out / multiface.mesh_path(take.segment, f"{index:06d}")
+    return out / multiface.part_path("tracked_mesh", take.segment, f"{index:06d}")
 
 
 def _draw(

@@ -64,6 +64,12 @@ def test_a_dome_becomes_an_avatar_that_talks(
     middle_m, true_m = (np.median(c.vertices_m(c.frames[0]), axis=0) for c in (capture, source))
     assert np.abs(middle_m - true_m).max() < 0.01
     assert check_capture(dome)["problems"] == []
+    table = dome / "expressions.csv"
+    whole = table.read_text()
+    table.write_text(whole[: whole.rindex("\n", 0, -1) + 1])
+    assert len(Capture.open(dome).frames) == 11
+    assert len(Capture.open(dome, take_fit=False).frames) == 12
+    table.write_text(whole)
 
     with caplog.at_level(logging.WARNING):
         train(TrainOptions(capture=dome, out=trained, eval_frames=1, threads=1))
