@@ -51,6 +51,9 @@ BROW_ENDS, CORNERS = [70, 300], [33, 263]
 LIKE_FRINGE, LIKE_SCALP = 0.25, 0.12
 """Difference of log colours from skin above which a forehead has a fringe, and below which a scalp
 is bald: fair hair is like skin, and hair is easier missed than taken off (`--hair bald`)."""
+SHADE_KEPT, SHADE_NOISE, SHADE_MOST = 0.01, 0.15, 0.8
+"""Prior of the light's terms beside what is seen; logarithm by which skin differs from a light that
+counts a quarter; and the largest that is taken off."""
 IRIS_RING = (0.45, 0.85)
 """Part of the iris between pupil and edge, of its radius."""
 COMPARED, FACE, UNLIKE = 256, 170, 0.8
@@ -210,6 +213,34 @@ def alike(all_laid: list[Laid]) -> Float64Array:
     return np.array(found)
 
 
+def unshaded(albedo: Float64Array, slopes: Float64Array, weights: Float64Array) -> Float64Array:
+    """Colours ``[T, 3]`` without the light on them, which the stage gives anew.
+
+    It is what of their logarithm follows from the slope of skin alone, in nine terms (Ramamoorthi
+    and Hanrahan 2001), alike in all channels; robustly, since lips and brows are no shade. Shadows
+    that are cast stay, and the mean does.
+
+    Args:
+        slopes: Normals. ``[T, 3]``.
+        weights: How well each texel shows skin. ``[T]``.
+    """
+    x, y, z = (slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-9)).T
+    terms = np.stack([x**0, x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], 1)
+    some = np.flatnonzero(weights > 0.3)[::7]
+    if not len(some):
+        return albedo
+    basis, bright = terms[some], np.log(np.maximum(albedo[some], 1e-3)).mean(1)
+    share, found = weights[some], np.zeros(terms.shape[1])
+    for _ in range(4):
+        weighted = basis.T * share
+        prior = SHADE_KEPT * share.sum() * np.diag([0.0] + [1.0] * (len(found) - 1))
+        found = np.linalg.solve(weighted @ basis + prior, weighted @ bright)
+        share = weights[some] / (1 + ((bright - basis @ found) / SHADE_NOISE) ** 2) ** 2
+    light = terms @ found - np.average(basis @ found, weights=share)
+    shade = np.exp(-np.clip(light, -SHADE_MOST, SHADE_MOST))
+    return np.asarray(albedo * shade[:, None])
+
+
 def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHead:
     """Make the fitted head of photos.
 
@@ -227,6 +258,8 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     above = np.clip((coverage - HAIR_AT[0]) / (HAIR_AT[1] - HAIR_AT[0]), 0, 1)
     height = flat.at(rest_m)[:, 1]
     alpha *= np.clip((height - CLOTHES_Y_M[1]) / (CLOTHES_Y_M[0] - CLOTHES_Y_M[1]), 0, 1)
+    slopes = flat.at(vertex_normals(rest_m.astype(np.float32), head_faces(model, "skin")))
+    albedo = unshaded(albedo, slopes, alpha * (1 - above) * (height > NECK_Y_M))
     skin = np.median(albedo[(alpha > 0.5) & (np.abs(height + 0.02) < 0.03)], axis=0)
     albedo[alpha < 0.02] = skin
     # On forehead and temples a fringe is hair, wherever the hairline is; a collar is no skin.

@@ -25,7 +25,7 @@ from pica_core.capture.me.photos import (
     read_photos,
     size_of,
 )
-from pica_core.capture.me.pictured import fit_photos
+from pica_core.capture.me.pictured import fit_photos, unshaded
 from pica_core.capture.me.solve import Sight, Solution, solve
 from pica_core.capture.person.choices import NUM_MODES, read_model
 from pica_core.cli import MeOptions, me
@@ -133,6 +133,20 @@ def _solution(
         coefficients=coefficients, expressions=expressions, cameras=tuple(cameras),
         offset_m=np.zeros((478, 3)), lens=np.zeros(len(cameras), int),
     )  # fmt: skip
+
+
+def test_light_is_taken_off_and_brows_stay_dark() -> None:
+    random = np.random.default_rng(6)
+    slopes = random.normal(size=(20_000, 3)) * [1, 1, 0.5] + [0, 0, 1]
+    slopes /= np.linalg.norm(slopes, axis=1, keepdims=True)
+    light = 0.4 + 0.6 * np.maximum(slopes @ [0.5, 0.6, 0.62], 0)
+    brow = slopes[:, 1] > 0.8  # also where it is brightest
+    true = np.where(brow[:, None], 0.08, 1.0) * [0.5, 0.35, 0.25]
+    found = unshaded(true * light[:, None], slopes, np.ones(len(slopes)))
+    before, after = (np.std(np.log(each[~brow, 0])) for each in (true * light[:, None], found))
+    assert after < 0.3 * before
+    assert np.median(found[brow]) / np.median(found[~brow]) < 0.12
+    assert np.median(found[~brow, 0]) == pytest.approx(0.5 * np.median(light[~brow]), rel=0.15)
 
 
 def test_frames_are_the_sharpest_of_each_view_and_spread_from_the_front() -> None:
