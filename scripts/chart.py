@@ -21,6 +21,7 @@ import sys
 import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -221,19 +222,10 @@ def chart_scene() -> None:
     save(figure, "scene", line)
 
 
-def chart_voice() -> None:
-    """Fill in what arrives of a voice and its face under network conditions."""
-    line = read_lines("voice")[-1]
-    columns: dict[str, Column] = {
-        "condition": "condition",
-        "PESQ": lambda row: None if row["pesq"] is None else f"{row['pesq']:.2f}",
-        "mouth to ear p50/p95, ms": lambda row: joined(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
-        "skew p95, ms": lambda row: f"{row['skew_ms']['p95']:.0f}",
-        "concealed": "{concealed_ratio:.1%}",
-        "face: MSE": lambda row: f"{row['face_mse']:.1f}",
-        "still, ms": "{face_still_ms:.0f}",
-    }
-    fill_in("voice", table(line["result"]["rows"], columns), source_line(line))
+def fill_rows(name: str) -> None:
+    """Fill in the rows of the newest line as they are."""
+    line = read_lines(name)[-1]
+    fill_in(name, table(line["result"]["rows"], ROWS[name]), source_line(line))
 
 
 def chart_drive() -> None:
@@ -277,19 +269,18 @@ def chart_codec() -> None:
     save(figure, "codec", lines[-1])
 
 
-def chart_gpu() -> None:
-    """Fill in what decoding on the CPU and in shaders takes beside drawing by a GPU."""
-    line = read_lines("gpu")[-1]
-    columns: dict[str, Column] = {
-        "size": lambda row: " × ".join(map(str, row["size"])),
-        "heads": "heads",
-        "decoded": lambda row: {"cpu": "ONNX Runtime", "gpu": "in shaders"}[row["mode"]],
-        "decode, ms": "{decode_ms:.1f}",
-        "drawing thread, ms": "{thread_ms:.1f}",
-        "images/s": "{images_s:.0f}",
-        "faces decoded an image": "{decodes_an_image:.1f}",
-    }
-    fill_in("gpu", table(line["result"]["rows"], columns), source_line(line))
+def chart_paper() -> None:
+    """Draw held-out errors of models against the steps and the seconds of their training."""
+    line = read_lines("paper")[-1]
+    figure, axes = plt.subplots(1, 3, figsize=(10.2, 3.0))
+    shown = (("joint steps", "MSE"), ("seconds", "MSE"), ("joint steps", "vertices off, mm"))
+    for axis, (along, error) in zip(axes, shown, strict=True):
+        for (model, curve), colour in zip(line["result"]["curves"].items(), COLOURS, strict=False):
+            points = [[point[key] for point in curve] for key in (along, error)]
+            axis.plot(*points, "-o", color=colour, label=model)
+        axis.set(xlabel=along, ylabel=error, ylim=0)
+    axes[0].legend(fontsize=8)
+    save(figure, "paper", line)
 
 
 def chart_tables() -> None:
@@ -344,7 +335,29 @@ def chart_failures() -> None:
     fill_in("failures", table(rows, columns), source_line(line))
 
 
-CHARTS: dict[str, Callable[[], None]] = {
+ROWS: dict[str, dict[str, Column]] = {
+    "voice": {
+        "condition": "condition",
+        "PESQ": lambda row: None if row["pesq"] is None else f"{row['pesq']:.2f}",
+        "mouth to ear p50/p95, ms": lambda row: joined(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
+        "skew p95, ms": lambda row: f"{row['skew_ms']['p95']:.0f}",
+        "concealed": "{concealed_ratio:.1%}",
+        "face: MSE": lambda row: f"{row['face_mse']:.1f}",
+        "still, ms": "{face_still_ms:.0f}",
+    },
+    "gpu": {
+        "size": lambda row: " × ".join(map(str, row["size"])),
+        "heads": "heads",
+        "decoded": lambda row: {"cpu": "ONNX Runtime", "gpu": "in shaders"}[row["mode"]],
+        "decode, ms": "{decode_ms:.1f}",
+        "drawing thread, ms": "{thread_ms:.1f}",
+        "images/s": "{images_s:.0f}",
+        "faces decoded an image": "{decodes_an_image:.1f}",
+    },
+}
+"""Tables of rows as they were recorded."""
+CHARTS: dict[str, Callable[[], None]] = {name: partial(fill_rows, name) for name in ROWS}
+CHARTS |= {
     name.removeprefix("chart_"): function
     for name, function in list(globals().items())
     if name.startswith("chart_")

@@ -112,18 +112,14 @@ def few_frames(folder: Path, capture: Capture, random: np.random.Generator) -> N
             (folder / multiface.part_path("tracked_mesh", frame.segment, frame.name)).unlink()
 
 
-def nothing(folder: Path, capture: Capture, random: np.random.Generator) -> None:
-    """Right data."""
-
-
 SPOILT: dict[str, Spoil] = {
-    "right data": nothing,
+    "right data": lambda folder, capture, random: None,
     "wrong cameras": wrong_cameras,
     "missing images": missing_images,
     "depth outliers": depth_outliers,
     "unsteady tracking": unsteady_tracking,
     "few frames": few_frames,
-    "both gradient paths": nothing,
+    "both gradient paths": lambda folder, capture, random: None,
 }
 
 
@@ -212,7 +208,7 @@ def far_codes(evaluator: ModelEvaluator) -> Iterator[tuple[float, FloatArray]]:
 def keep(out: Path, condition: str, view: str, name: str, shown: Array) -> None:
     """Write a picture for the sheet."""
     path = picture_path(out, condition, view, name)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)
     Image.fromarray(shown.round().astype(np.uint8)).save(path)
 
 
