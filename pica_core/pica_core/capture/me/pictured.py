@@ -214,7 +214,7 @@ def alike(all_laid: list[Laid]) -> Float64Array:
 
 
 def unshaded(albedo: Float64Array, slopes: Float64Array, weights: Float64Array) -> Float64Array:
-    """Colours ``[T, 3]`` without the light on them, which the stage gives anew.
+    """Colours ``[T, 3]`` without the light on them, which the stage adds by itself.
 
     It is what of their logarithm follows from the slope of skin alone, in nine terms (Ramamoorthi
     and Hanrahan 2001), alike in all channels; robustly, since lips and brows are no shade. Shadows
