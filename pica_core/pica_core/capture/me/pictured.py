@@ -258,8 +258,6 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     above = np.clip((coverage - HAIR_AT[0]) / (HAIR_AT[1] - HAIR_AT[0]), 0, 1)
     height = flat.at(rest_m)[:, 1]
     alpha *= np.clip((height - CLOTHES_Y_M[1]) / (CLOTHES_Y_M[0] - CLOTHES_Y_M[1]), 0, 1)
-    slopes = flat.at(vertex_normals(rest_m.astype(np.float32), head_faces(model, "skin")))
-    albedo = unshaded(albedo, slopes, alpha * (1 - above) * (height > NECK_Y_M))
     skin = np.median(albedo[(alpha > 0.5) & (np.abs(height + 0.02) < 0.03)], axis=0)
     albedo[alpha < 0.02] = skin
     # On forehead and temples a fringe is hair, wherever the hairline is; a collar is no skin.
@@ -270,6 +268,8 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     unlike &= (height > places[BROWS, 1].max() + ABOVE_M) | temple | (height < NECK_Y_M)
     reached = flat.soften(unlike.astype(np.float64), FRINGE_EDGES)
     above = np.maximum(above, np.clip(4 * reached, 0, 1))
+    slopes = flat.at(vertex_normals(rest_m.astype(np.float32), head_faces(model, "skin")))
+    albedo = unshaded(albedo, slopes, alpha * (1 - above) * (height > NECK_Y_M))
     worn = wear(model, rest_m, flat, albedo, alpha * (1 - above))
     scalp = (coverage > 0.3) & (coverage < 0.95) & (alpha > 0.3)
     style, hair = "short", None
