@@ -97,6 +97,9 @@ def take_turns(trainers: list[Trainer], out: Path, until: float) -> Curves:
     """Let the models take turns until the time is over; the curve of each."""
     path = out / "curves.json"
     curves: Curves = json.loads(path.read_text()) if path.exists() else {}
+    for each in trainers:  # geometry first: a turn is to say what joint steps cost
+        if not joint_steps(each):
+            each.run(lambda *_, run=each: not joint_steps(run) and time.monotonic() < until)
     steps = FIRST_TURN
     while steps >= FIRST_TURN and all(each.step < each.total_steps for each in trainers):
         began = time.monotonic()
