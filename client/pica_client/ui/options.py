@@ -16,7 +16,7 @@ from pica_client.render.seats import Layout
 from pica_client.transport.connect import LinkConfig
 from pica_protocol.limits import MAX_PEERS
 
-BUDGET_SHARE = 0.7
+BUDGET_SHARE = 0.6
 """Part of the time between two frames: the rest is for texts, the window system and recording
 (measured with five people at 1280x720 on two cores: 0.6, 0.75 and 0.9 give 29, 28 and 25 images a
 second, and heads in 0.50, 0.66 and 0.83 of the resolution)."""
