@@ -19,7 +19,6 @@ export class Camera {
   /** What is wrong, or is to be done, in one line. */
   note = "the camera is being opened";
   isOpen = true;
-  hasFace = false;
   /** @type {MediaStream | null} */
   stream = null;
   /** @type {Worker | null} */
