@@ -34,10 +34,11 @@ OUTER_CORNERS: Final = (33, 263)
 """Landmarks: outer corner of the right eye and of the left."""
 
 TABLE: Final = packaged_json("pica_core", "face_networks.json")
-"""``shape_landmarks``: what the third network is given, in this order; ``shapes``: which shape of
-`ARKIT_NAMES` each of its answers is, -1 for the neutral face and for what the networks cannot see:
-they say about 0 of cheekPuff, noseSneer, eyeWide and tongueOut, whatever the face does, and so do
-we; ``head``: where landmarks are in a head, in units of `pica_client.sources.webcam.UNIT_M`."""
+"""``sha256``: of the networks' file; ``shape_landmarks``: what the third network is given, in this
+order; ``shapes``: which shape of `ARKIT_NAMES` each of its answers is, -1 for the neutral face and
+for what the networks cannot see: they say about 0 of cheekPuff, noseSneer, eyeWide and tongueOut,
+whatever the face does, and so do we; ``head``: where landmarks are in a head, in units of
+`pica_client.sources.webcam.UNIT_M`."""
 
 _SUBSET = np.array(TABLE["shape_landmarks"])
 _SHAPES = np.array(TABLE["shapes"])
@@ -197,7 +198,7 @@ def _merged(boxes: Float64Array, scores: Float64Array) -> list[Float64Array]:
     return found
 
 
-SHA256: Final = "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff"
+SHA256: Final[str] = TABLE["sha256"]
 URL: Final = (
     "https://storage.googleapis.com/mediapipe-models/face_landmarker/face_landmarker/float16/1/"
     "face_landmarker.task"

@@ -5,8 +5,6 @@ import { getFile } from "./call.js";
 import { seconds } from "./clock.js";
 import { said } from "./wire.js";
 
-/** SHA-256 of `face_landmarker.task`. */
-const NETWORKS = "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff";
 const FRAME_MS = 33;
 /** @type {Record<string, string>} */
 const REASONS = {
@@ -35,10 +33,10 @@ export class Camera {
   async open(base) {
     this.changed();
     try {
-      const task = await getFile(base, NETWORKS).catch(() => {
+      const numbers = await (await fetch(new URL("face_networks.json", import.meta.url))).json();
+      const task = await getFile(base, numbers.sha256).catch(() => {
         throw new Error("this relay has no face networks (pica webcam setup)");
       });
-      const numbers = await (await fetch(new URL("face_networks.json", import.meta.url))).json();
       if (!navigator.mediaDevices) throw new Error("the browser gives cameras to https alone");
       const stream = await navigator.mediaDevices.getUserMedia(
         { video: { width: 640, height: 480, frameRate: 30, facingMode: "user" } });
