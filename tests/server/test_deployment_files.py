@@ -1,7 +1,7 @@
 """What can be checked of the container and cluster files without an engine or a cluster.
 
 Not checked here: that the tags of other people's images exist, and that a cluster accepts the
-manifests. ``scripts/check_images.py`` builds the images and starts what they start.
+manifests, and that images start: ``make images`` builds them.
 """
 
 import json
