@@ -34,7 +34,6 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
 PAGE = ROOT / "docs" / "results.md"
 PAGE_COLUMNS = 118
-GREY = "#777777"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 """Distinct for colour-blind readers, too."""
 
@@ -180,44 +179,28 @@ def chart_relay() -> None:
 
 
 def chart_scene() -> None:
-    """Draw what one to five heads cost over one that fills the screen, what error is left, and what
-    budgets leave of it, the measurement before in grey."""
-    lines = read_lines("scene")
-    line = lines[-1]
+    """Draw what one to five heads cost over one that fills the screen, and what error is left."""
+    line = read_lines("scene")[-1]
     rows = line["result"]["rows"]
     full_ms = rows[0]["cpu_ms"]  # one head that fills the screen, decoded whole
     rows = [row for row in rows[2:] if row["budget_ms"] is None]
-    figure, (cost, error, budget) = plt.subplots(1, 3, figsize=(10.2, 3.4))
-    for drawn in lines[-2:]:
-        most = [row for row in drawn["result"]["rows"] if row["avatars"] == rows[-1]["avatars"]]
-        distances = sorted({row["distance_cm"] for row in most})
-        for distance, colour in zip(distances, COLOURS, strict=False):
-            chosen = [row for row in most if row["distance_cm"] == distance and row["scheduler"]]
-            chosen.sort(key=lambda row: row["cpu_ms"])
-            costs, errors = [row["cpu_ms"] for row in chosen], [row["error"] for row in chosen]
-            budget.plot(costs, errors, "-o", color=colour if drawn is line else GREY)
-    budget.set_xlabel(
-        "processor time a frame of the most heads, ms\n(grey: the measurement before)"
-    )
-    for distance, colour in zip(sorted({r["distance_cm"] for r in rows}), COLOURS, strict=False):
-        for is_scheduled, style in ((True, "-o"), (False, "--x")):
-            chosen = [
-                row
-                for row in rows
-                if (row["distance_cm"], row["scheduler"]) == (distance, is_scheduled)
-            ]
-            counts = [row["avatars"] for row in chosen]
-            ratios = [row["cpu_ms"] / full_ms for row in chosen]
-            label = f"{distance:g} cm" if is_scheduled else None
-            cost.plot(counts, ratios, style, color=colour, label=label)
-            if is_scheduled:
-                error.plot(counts, [row["error"] for row in chosen], style, color=colour)
+    figure, (cost, error) = plt.subplots(1, 2, figsize=(8.4, 3.4))
+    lines: dict[tuple[float, bool], list[Row]] = defaultdict(list)
+    for row in rows:
+        lines[row["distance_cm"], row["scheduler"]].append(row)
+    colours = dict(zip(sorted({distance for distance, _ in lines}), COLOURS, strict=False))
+    for (distance, is_scheduled), chosen in lines.items():
+        counts = [row["avatars"] for row in chosen]
+        style, label = ("-o", f"{distance:g} cm") if is_scheduled else ("--x", None)
+        ratios = [row["cpu_ms"] / full_ms for row in chosen]
+        cost.plot(counts, ratios, style, color=colours[distance], label=label)
+        if is_scheduled:
+            error.plot(counts, [row["error"] for row in chosen], style, color=colours[distance])
     cost.set_ylabel("processor time over one\nhead that fills the screen")
     cost.set_xlabel("talking heads, 25 cm apart\n(dashed: without the scheduler)")
     cost.legend(fontsize=8)
-    error.set_ylabel("MSE against full levels, 0–255")
-    error.set_xlabel("talking heads, no budget")
-    for axis in (cost, error, budget):
+    error.set(xlabel="talking heads", ylabel="MSE against full levels, 0–255")
+    for axis in (cost, error):
         axis.set_ylim(bottom=0)
     save(figure, "scene", line)
 
@@ -344,15 +327,6 @@ ROWS: dict[str, dict[str, Column]] = {
         "concealed": "{concealed_ratio:.1%}",
         "face: MSE": lambda row: f"{row['face_mse']:.1f}",
         "still, ms": "{face_still_ms:.0f}",
-    },
-    "gpu": {
-        "size": lambda row: " × ".join(map(str, row["size"])),
-        "heads": "heads",
-        "decoded": lambda row: {"cpu": "ONNX Runtime", "gpu": "in shaders"}[row["mode"]],
-        "decode, ms": "{decode_ms:.1f}",
-        "drawing thread, ms": "{thread_ms:.1f}",
-        "images/s": "{images_s:.0f}",
-        "faces decoded an image": "{decodes_an_image:.1f}",
     },
 }
 """Tables of rows as they were recorded."""
