@@ -294,6 +294,7 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
         FaceNetworksError: The networks are not there.
     """
     from pica_core.capture.me.face import FILE as HEAD
+    from pica_core.capture.me.nersemble import camera_films, is_nersemble
     from pica_core.capture.me.photos import photo_paths
 
     path = folder / HEAD
@@ -306,7 +307,8 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     if choices.texture is not None and choices.scan is None:
         raise CaptureError(f"{choices.texture}: --texture belongs to --scan")
     if choices.photos is not None:
-        files = photo_paths(choices.photos)
+        paths_of = camera_films if is_nersemble(choices.photos) else photo_paths
+        files = paths_of(choices.photos)
     else:
         files = [each for each in (sources[0], choices.texture) if each is not None]
     digests = [hashlib.sha256(read_bytes(each)).hexdigest() for each in files]
@@ -362,6 +364,7 @@ def _of_photos(
     choices: MeChoices, files: list[Path], networks: FaceNetworks, console: Console
 ) -> tuple["OwnHead", Callable[[Path], None]]:
     from pica_core.capture.me.film import choose_frames
+    from pica_core.capture.me.nersemble import is_nersemble, read_films
     from pica_core.capture.me.photos import read_photos
     from pica_core.capture.me.pictured import fit_photos, head_of_photos
     from pica_core.capture.me.report import report_photos
@@ -369,10 +372,11 @@ def _of_photos(
     def tell(line: str) -> None:
         console.print(line, highlight=False, markup=False)
 
-    if choices.photos is not None:
-        photos, source = read_photos(files, networks, tell), "photos"
-    else:
+    if choices.photos is None:
         photos, source = choose_frames(files[0], networks, tell), "a video"
+    else:
+        read = read_films if is_nersemble(choices.photos) else read_photos
+        photos, source = read(files, networks, tell), "photos"
     _agree(choices)
     pupils_mm = choices.pupillary_distance_mm
     found = fit_photos(photos, tell, pupils_mm and pupils_mm / 1000)

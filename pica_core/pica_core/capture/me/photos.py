@@ -11,8 +11,6 @@ from PIL import Image, ImageOps
 from scipy.ndimage import gaussian_filter
 
 from pica_core.camera import Camera, look_at
-from pica_core.capture.dataset.dataset import NERSEMBLE
-from pica_core.capture.dataset.multiface import read_json
 from pica_core.capture.me.face import (
     Similarity,
     align,
@@ -46,8 +44,6 @@ EXIF_IFD, FILM_FOCAL, MODEL = 0x8769, 0xA405, 0x0110
 SURE, LEAST_FACE_PX, MOST_TURNED, LEAST_SHARP = 0.6, 80, 62.0, 0.1
 """What a photo needs: sureness of the networks, width of the face in pixels, degrees from the
 front, and `sharpness` (measured on drawn people)."""
-NERSEMBLE_SIZE = (2200, 3208)
-"""Of the pictures that its calibration is for."""
 Tell = Callable[[str], None]
 
 
@@ -73,15 +69,15 @@ class Photo:
     sharp: float
 
 
-def photo_paths(folder: Path) -> list[Path]:
-    """The photos of a folder; of one of NeRSemble v2 a film of each camera, all of one take.
+Read = Callable[[Path, FaceNetworks], Photo]
+
+
+def photo_paths(folder: Path, kinds: tuple[str, ...] = SUFFIXES) -> list[Path]:
+    """The photos of a folder, by their suffixes.
 
     Raises:
         CaptureError: There is none, or too many.
     """
-    kinds: tuple[str, ...] = SUFFIXES
-    if (folder / NERSEMBLE).is_file():  # its last take is a sentence, which begins calmly
-        folder, kinds = max(folder.glob("sequences/*/images"), default=folder), (".mp4",)
     try:
         paths = sorted(each for each in folder.iterdir() if each.suffix.lower() in kinds)
     except OSError as error:
@@ -92,19 +88,18 @@ def photo_paths(folder: Path) -> list[Path]:
     return paths
 
 
-def read_photos(paths: list[Path], networks: FaceNetworks, tell: Tell) -> list[Photo]:
-    """Read photos; what is of no use is told and left out.
+def read_photos(
+    paths: list[Path], networks: FaceNetworks, tell: Tell, read: Read | None = None
+) -> list[Photo]:
+    """Read photos, as `read_photo` does or `read`; what is of no use is told and left out.
 
     Raises:
         CaptureError: None is of use.
     """
     photos: list[Photo] = []
-    if paths and paths[0].suffix == ".mp4":
-        count = len(read_json(paths[0].parents[3] / NERSEMBLE).get("world_2_cam", ()))
-        tell(f"{paths[0].parent}: first pictures of {len(paths)} films, of {count} cameras")
     for path in paths:
         try:
-            photos.append(read_photo(path, networks))
+            photos.append((read or read_photo)(path, networks))
         except CaptureError as error:
             tell(f"left out: {error}")
     if not photos:
@@ -118,8 +113,6 @@ def read_photo(path: Path, networks: FaceNetworks) -> Photo:
     Raises:
         CaptureError: It cannot be read, or does not show one face well; names file and remedy.
     """
-    if path.suffix == ".mp4":
-        return photo_of(path.name, *_first_picture(path), "NeRSemble", networks, str(path))
     try:
         with Image.open(path) as opened:
             if max(opened.size) > MOST_SIDE:
@@ -137,23 +130,6 @@ def read_photo(path: Path, networks: FaceNetworks) -> Photo:
         raise CaptureError(f"{path}: not a complete photo ({error}); save it again") from error
     picture.thumbnail((SIDE, SIDE), Image.Resampling.BOX, reducing_gap=None)
     return photo_of(path.name, picture, film_mm, told.get(MODEL), networks, str(path))
-
-
-def _first_picture(path: Path) -> tuple[Image.Image, float]:
-    """The first picture of a film of NeRSemble, and the focal length for 35 mm film, mm."""
-    import av
-
-    where = path.parents[3] / NERSEMBLE
-    try:
-        focal_px = float(read_json(where)["intrinsics"][0][0])
-    except (KeyError, TypeError, IndexError, ValueError) as error:
-        raise CaptureError(f"{where}: intrinsics are needed ({error!r})") from error
-    try:
-        with av.open(str(path)) as film:
-            picture = upright(next(film.decode(video=0)))
-    except (OSError, ValueError, StopIteration, av.FFmpegError) as error:
-        raise CaptureError(f"{path}: not a film that can be read ({error})") from error
-    return picture, DIAGONAL_MM * focal_px / float(np.hypot(*NERSEMBLE_SIZE))
 
 
 def upright(frame: Any) -> Image.Image:

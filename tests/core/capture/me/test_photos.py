@@ -18,6 +18,7 @@ from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.camera import Camera, aimed_camera, look_at
 from pica_core.capture.me.face import align, read_head
 from pica_core.capture.me.film import choose_frames, spread_out
+from pica_core.capture.me.nersemble import camera_films, read_films
 from pica_core.capture.me.photos import (
     landmark_spots,
     photo_paths,
@@ -288,18 +289,25 @@ def test_a_nersemble_folder_gives_the_first_picture_of_each_camera(
         json.dumps({"world_2_cam": cameras, "intrinsics": intrinsics})
     )
     with pytest.raises(CaptureError, match=r"0 photos; .* names on \.mp4"):
-        photo_paths(tmp_path)
+        camera_films(tmp_path)
+    few = tmp_path / "sequences" / "SEN-10-b" / "images"
+    few.mkdir(parents=True)
+    (few / "cam_0.mp4").write_bytes(b"no film")
     images = tmp_path / "sequences" / "SEN-01-a" / "images"
     images.mkdir(parents=True)
     for number, picture in enumerate(pictures[:3]):
         write_film(images / f"cam_{number}.mp4", [picture, pictures[3]], 0.4)
     (images / "cam_3.mp4").write_bytes(b"no film")
     told: list[str] = []
-    photos = read_photos(photo_paths(tmp_path), face_networks(), told.append)
+    films = camera_films(tmp_path)
+    photos = read_films(films, face_networks(), told.append)
     assert [photo.name for photo in photos] == ["cam_0.mp4", "cam_1.mp4", "cam_2.mp4"]
     assert photos[0].focal_px == pytest.approx(8200 / np.hypot(2200, 3208) * np.hypot(SIDE, SIDE))
     assert "4 films, of 5 cameras" in told[0]
     assert "cam_3.mp4: not a film" in told[1]
+    (tmp_path / "calibration" / "camera_params.json").write_text('{"intrinsics": [[8200.0]]}')
+    with pytest.raises(CaptureError, match=r"camera_params\.json: intrinsics and world_2_cam"):
+        read_films(films, face_networks(), told.append)
 
 
 @pytest.mark.slow
