@@ -18,7 +18,7 @@ from pica_core.avatar.file import avatar_file, avatar_id, load_avatar
 from pica_core.avatar.spec import pixel_codec_cost
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.multiface import read_bytes, read_json, write_aside
+from pica_core.capture.dataset.multiface import read_json, write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.subject import RigSubject, Subject
@@ -268,7 +268,7 @@ class MeChoices(LookChoices):
     photos: Path | None = None
     """A folder of photos of the person, about twelve: JPEG, PNG, WebP or TIFF."""
     video: Path | None = None
-    """A film of the person who turns the head, 2 to 120 seconds."""
+    """A film of the person who turns the head, 2 seconds or more."""
     pupillary_distance_mm: float | None = None
     """Distance of the pupils (PD), 40 to 80, as on a prescription of glasses: sizes a head of
     photos or of a film."""
@@ -311,7 +311,7 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
         files = paths_of(choices.photos)
     else:
         files = [each for each in (sources[0], choices.texture) if each is not None]
-    digests = [hashlib.sha256(read_bytes(each)).hexdigest() for each in files]
+    digests = [_sha256(each) for each in files]
     pupils_mm = choices.pupillary_distance_mm
     asked = {"of": digests, "chosen": choices.chosen(), "pupillary_distance_mm": pupils_mm}
     if path.exists():
@@ -329,6 +329,15 @@ def make_head(choices: MeChoices, folder: Path, console: Console) -> Path:
     console.print(f"pictures of input and fitted head: {folder / REPORT}", highlight=False)
     head.write(path)
     return path
+
+
+def _sha256(path: Path) -> str:
+    """The SHA-256 of a file of any size."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror}") from error
 
 
 def _agree(choices: MeChoices) -> None:

@@ -10,7 +10,8 @@ from pica_core.errors import CaptureError
 from pica_core.face_networks import FaceNetworks
 from pica_core.types import Float64Array
 
-LEAST_S, MOST_S = 2.0, 120.0
+LEAST_S, DENSE_S = 2.0, 120.0
+"""Shortest film, and how much of a longer one is looked at whole; of the rest only key frames."""
 LOOKED_AT, FRAMES = 60, 12
 """Frames that are looked at, and that are taken."""
 NEAR = 0.12
@@ -69,14 +70,14 @@ def _frames(path: Path) -> list[tuple[float, Image.Image]]:
             stream = film.streams.video[0]
             stream.thread_type = "AUTO"
             found: list[tuple[float, Image.Image]] = []
-            first, step, last, number = 0.0, 0.0, 0.0, 0
+            first, step, last = 0.0, 0.0, 0.0
             for number, frame in enumerate(film.decode(stream)):
                 now = frame.time if frame.time is not None else number / 30
                 first = now if number == 0 else first
                 last = now - first
-                if last > MOST_S:
-                    raise CaptureError(f"{path}: longer than {MOST_S:.0f} s; cut it")
-                if last >= step * len(found):
+                if last > DENSE_S:  # whole minutes cost minutes
+                    stream.codec_context.skip_frame = "NONKEY"
+                if not found or last - found[-1][0] > 0.99 * step:
                     found.append((last, upright(frame)))
                 if len(found) > 2 * LOOKED_AT:  # an unknown length: take every second one
                     found = found[::2]

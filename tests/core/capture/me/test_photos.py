@@ -265,13 +265,21 @@ def write_film(path: Path, images: list[ByteArray], seconds: float) -> None:
         film.mux(stream.encode())
 
 
-def test_a_film_gives_one_frame_of_each_view(tmp_path: Path, pictures: list[ByteArray]) -> None:
+def test_a_film_gives_one_frame_of_each_view(
+    tmp_path: Path, pictures: list[ByteArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_film(tmp_path / "late.mp4", pictures[:3], 3.0)
     told: list[str] = []
     frames = choose_frames(tmp_path / "late.mp4", face_networks(), told.append)
     assert len(frames) == 3
     assert all(frame.landmarks[152, 1] > frame.landmarks[10, 1] + 100 for frame in frames)
     assert "30 frames looked at" in told[0]
+    monkeypatch.setattr("pica_core.capture.me.film.LOOKED_AT", 5)
+    assert len(choose_frames(tmp_path / "late.mp4", face_networks(), told.append)) == 3
+    assert int(told[1].split()[0]) <= 10
+    monkeypatch.setattr("pica_core.capture.me.film.DENSE_S", 0.3)
+    frames = choose_frames(tmp_path / "late.mp4", face_networks(), told.append)
+    assert frames[-1].name == "late.mp4 at 2.4 s"  # the third key frame
     write_film(tmp_path / "short.mp4", pictures[:1], 1.0)
     (tmp_path / "torn.mp4").write_bytes(b"no film")
     for name, words in (("short.mp4", "at least 2 s are needed"), ("torn.mp4", "not a film")):
