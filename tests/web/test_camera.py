@@ -54,21 +54,38 @@ def test_a_head_turns_as_pythons_does(page: Page) -> None:
 
 def test_a_face_becomes_calm_and_ones_own_as_in_python(page: Page) -> None:
     rng = np.random.default_rng(3)
-    faces = np.abs(rng.normal(0.3, 0.2, (90, 58))).astype(np.float32)
-    faces[60:70, [0, 7]] = 1.0  # closed eyes
+    faces = np.abs(rng.normal(0.3, 0.2, (150, 58))).astype(np.float32)
+    faces[60:112, [0, 7]] = 0.7  # as far as a camera sees them close
     times_s = np.cumsum(rng.uniform(0.02, 0.06, len(faces)))
     tracking: Handle = page.call("live_face", "Tracking")
-    smoother, seat, at_rest = Smoother(), Seat(), []
+    smoother, seat = Smoother(), Seat()
+    at_rest: list[FloatArray] = []
+    eyes_closed: list[FloatArray] = []
+    wishes = {tracking.wish()}
     for face, at_s, step_s in zip(faces, times_s, np.diff(times_s, prepend=-1), strict=True):
-        if at_s - times_s[0] < 1.5:
+        since_s = at_s - times_s[0]
+        if since_s < 1.5:
             at_rest.append(face[:52])
-        expected = _expected(face, at_rest, smoother, seat, min(step_s, 0.2))
+        elif 2.5 <= since_s < 4.5:
+            eyes_closed.append(face[:52])
+        arkit = calibrate(at_rest, eyes_closed).apply(face[:52])
+        offset_m = seat.offset_m(face[55:], min(step_s, 0.2))
+        pose = np.concatenate((arkit, face[52:55], offset_m))
+        expected = smoother.smooth(pose, min(step_s, 0.2))
         assert tracking.push(face, float(at_s)) == pytest.approx(expected, abs=1e-5)
+        wishes.add(tracking.wish())
+    assert len(wishes) == 3
+    assert len(eyes_closed) > 30
 
 
-def _expected(
-    face: FloatArray, at_rest: list[FloatArray], smoother: Smoother, seat: Seat, step_s: float
-) -> FloatArray:
-    arkit = calibrate(at_rest, []).apply(face[:52])
-    offset_m = seat.offset_m(face[55:], step_s)
-    return smoother.smooth(np.concatenate((arkit, face[52:55], offset_m)), step_s)
+def test_eyes_that_did_not_close_keep_the_usual_level(page: Page) -> None:
+    tracking: Handle = page.call("live_face", "Tracking")
+    face = np.zeros(58, np.float32)
+    face[[0, 7]] = 0.3
+    for number in range(60):
+        tracking.push(face, number / 10)
+    blink = face.copy()
+    blink[[0, 7]] = 1.0
+    for number in range(60, 70):
+        seen = tracking.push(blink, number / 10)
+    assert seen[0] == pytest.approx(1, abs=1e-3)

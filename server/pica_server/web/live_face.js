@@ -13,18 +13,27 @@ const cutoffOf = (k) => (k > 54 ? [2, 20] : k > 51 ? [2, 4] : k < 14 && k % 7 < 
 const SPEED_HZ = 1;
 const [FOLLOWS_S, REACH_M] = [8, [0.15, 0.1, 0.15]];
 const [MAX_NEUTRAL, MAX_OPEN] = [0.6, 0.8];
-/** A gap that is a new beginning; how long the face at rest is watched. */
-const [HOLD_S, REST_S] = [0.2, 1.5];
+/** A gap that is a new beginning. */
+const HOLD_S = 0.2;
+/** After the first face: until when one at rest is watched; from when until when closed eyes. */
+const [REST_S, CLOSED_S, KNOWN_S] = [1.5, 2.5, 4.5];
+const LEAST_LID_RANGE = 0.2;
 
 /** The share of a new value that a low-pass takes. @param {number} hz @param {number} stepS */
 const share = (hz, stepS) => 1 - 1 / (1 + 2 * Math.PI * hz * stepS);
 
-/** The face as a perfect tracker would see it. @param {ArrayLike<number>} face
- * @param {ArrayLike<number>} neutral What is seen of the same person at rest. */
-export function calibrated(face, neutral) {
+/** What is seen of each shape. @param {ArrayLike<number>[]} faces */
+const medians = (faces) => Float64Array.from({ length: SHAPES }, (_, k) => {
+  const sorted = faces.map((face) => face[k]).sort((a, b) => a - b);
+  return (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2;
+});
+
+/** The face as a perfect tracker would see it; what is seen of it at rest and with closed eyes.
+ * @type {(face: ArrayLike<number>, ...levels: Float64Array[]) => Float64Array} */
+function calibrated(face, neutral, closed) {
   return Float64Array.from(face, (value, k) => {
     if (k >= SHAPES || isGaze(k)) return value;
-    if (BLINKS.includes(k)) return clamp((value - neutral[k]) / (1 - neutral[k]), 0, 1);
+    if (BLINKS.includes(k)) return clamp((value - neutral[k]) / (closed[k] - neutral[k]), 0, 1);
     const rest = clamp(neutral[k], 0, MAX_NEUTRAL);
     return rest > 0 ? Math.max((value - rest) / (1 - rest), 0) : value;
   });
@@ -39,10 +48,11 @@ export class Tracking {
   /** @type {number[]} */
   seat = [];
   atS = -Infinity;
-  /** The faces at rest, from the first one on.
-   * @type {{beginS: number, faces: ArrayLike<number>[]}} */
-  rest = { beginS: NaN, faces: [] };
+  firstS = NaN;
+  /** Faces at rest, and with closed eyes; and what they come to. @type {ArrayLike<number>[][]} */
+  watched = [[], []];
   neutral = new Float64Array(SHAPES);
+  closed = this.neutral;
 
   /** There is no face. */
   lose() {
@@ -56,7 +66,7 @@ export class Tracking {
     const stepS = clamp(atS - this.atS, 1e-3, HOLD_S);
     this.atS = atS;
     this.learn(face, atS);
-    const pose = calibrated(face, this.neutral);
+    const pose = calibrated(face, this.neutral, this.closed);
     if (!this.smoothed) this.seat = [...pose.subarray(SHAPES + 3)];
     this.seat.forEach((place, axis) => {
       const to = pose[SHAPES + 3 + axis];
@@ -68,15 +78,23 @@ export class Tracking {
 
   /** @param {ArrayLike<number>} face @param {number} atS */
   learn(face, atS) {
-    const { rest } = this;
-    if (!rest.faces.length) rest.beginS = atS;
-    if (!(atS - rest.beginS < REST_S)) return;
-    rest.faces.push(face);
-    this.neutral = this.neutral.map((_, k) => {
-      const sorted = rest.faces.map((each) => each[k]).sort((a, b) => a - b);
-      const median = (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2;
-      return BLINKS.includes(k) ? Math.min(median, MAX_OPEN) : median;
-    });
+    const [rest, closed] = this.watched;
+    if (!rest.length) this.firstS = atS;
+    const sinceS = atS - this.firstS;
+    if (sinceS < REST_S) rest.push(face);
+    else if (sinceS >= CLOSED_S && sinceS < KNOWN_S) closed.push(face);
+    else return;
+    [this.neutral, this.closed] = [medians(rest), medians(closed)];
+    for (const k of BLINKS) this.neutral[k] = Math.min(this.neutral[k], MAX_OPEN);
+    const isClosed = BLINKS.every((k) => this.closed[k] - this.neutral[k] >= LEAST_LID_RANGE);
+    if (!isClosed) this.closed.fill(1);
+  }
+
+  /** What the person is to do now. */
+  get wish() {
+    const sinceS = this.atS - this.firstS;
+    if (!(sinceS >= REST_S)) return "look ahead with a relaxed face for a moment";
+    return sinceS < KNOWN_S ? "now close both eyes for three seconds" : "";
   }
 
   /** @param {Float64Array} pose @param {number} stepS */
