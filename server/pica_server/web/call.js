@@ -70,7 +70,7 @@ export class Member {
   /** @type {SealState} */
   seal = "verified";
   playout = new Playout();
-  /** @type {ReturnType<Playout["sampleAt"]>} */
+  /** @type {Float32Array | null} */
   played = null;
   isHeld = false;
   arrivedS = NaN;
@@ -152,7 +152,7 @@ export class Member {
     if (this.played === null) return null;
     const isStale = this.isAway || (this.every > 0 && now - this.arrivedS > STALE_AFTER_S);
     const status = isStale ? "stale" : this.peer.metadata.face === "lost" ? "away" : "live";
-    return { values: this.played.values, status };
+    return { values: this.played, status };
   }
 
   /** Say which share of the stream is needed: all, a half, a quarter, none. The relay is told of

@@ -13,7 +13,6 @@ import { SenderClock } from "./clock.js";
 const [FLOOR_S, CEILING_S] = [0.004, 0.2];
 const [MAX_LAG_S, MAX_LED_S] = [0.03, 2];
 const MIN_SLACK_S = 0.005;
-const STILL_S = 2.5;
 const [NUM_GAPS, NUM_SHOWN, MAX_FRAMES, MAX_GAP_S] = [16, 9, 64, 0.25];
 const [BLEND_S, UNSEEN] = [0.15, 1e-5];
 const [LEAP_S, FASTER, SLOWER] = [0.25, 0.1, 0.25];
@@ -118,7 +117,7 @@ export class Playout {
     this.last = placed;
   }
 
-  /** The face to show next, or null before the first frame is due.
+  /** The values of the face to show next, or null before the first frame is due.
    * @param {number} now @param {number | null} heardUs The moment, on the sender's clock, of the
    * voice that is heard when this face is seen. It leads. */
   sampleAt(now, heardUs = null) {
@@ -139,9 +138,9 @@ export class Playout {
     const before = isTurning ? timeline.faceAt(this.positionS - step.movedS).values : null;
     this.shown = this.corrected(meant.values, before, step.elapsedS);
     this.isPathNew = false;
-    const { slackS } = this;
-    const isConcealed = this.isConcealed(slackS ? ownS - slackS : this.positionS, meant.isUnderWay);
-    return { values: this.shown, isConcealed };
+    const { held } = timeline;
+    this.endS = meant.isUnderWay || held.isStill ? Infinity : held.mediaS;
+    return this.shown;
   }
 
   /** By how much the display's images lie farther apart than the frames that arrive. */
@@ -199,17 +198,5 @@ export class Playout {
     this.offset = this.offset.map((value) => share * value);
     this.leftS -= elapsedS;
     return added(meant, this.offset, 1);
-  }
-
-  /** Whether a frame is missing; notes where the face rests. @param {number} dueS Frames captured
-   * before it should have come. @param {boolean} isUnderWay */
-  isConcealed(dueS, isUnderWay) {
-    const { held, intervalS } = this.timeline;
-    const pastS = dueS - held.mediaS;
-    this.endS = isUnderWay || held.isStill ? Infinity : held.mediaS;
-    if (isUnderWay) return false;
-    if (held.isStill) return pastS > STILL_S;
-    const grantedS = Math.max(this.targetS - this.clock.jitterS, 0);
-    return intervalS > 0 && pastS > 1.5 * intervalS - grantedS;
   }
 }
