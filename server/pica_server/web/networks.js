@@ -7,9 +7,8 @@
  * null}} Tensor Where it lies; `stored` is what it holds for good. */
 /** @typedef {(...numbers: number[]) => void} Work @typedef {{multiply: Work, addTimes: Work,
  * rectify: Work}} Program */
-/** @typedef {{inputs: Tensor[], out: Tensor, option: (index: number) => number, isFree: boolean,
- * more: (shape: number[], stored?: Float32Array) => Tensor}} Step One operation; whether its first
- * input is of no further use; `more` makes a tensor. */
+/** @typedef {{inputs: Tensor[], out: Tensor, option: (index: number) => number,
+ * more: (shape: number[], stored?: Float32Array) => Tensor}} Step `more` makes a tensor. */
 /** @typedef {(step: Step) => (program: Program) => void} Operation */
 
 /** A product is made in pieces of so many columns and rows, and writes beyond its end. */
@@ -206,7 +205,7 @@ function runsOf({ inputs: [a, weights], out, option }) {
   return found;
 }
 
-/** @param {Step} step */
+/** @type {Operation} */
 function convolve(step) {
   const { inputs: [a, weights, bias], out, option, more } = step;
   const [columns, tall, wide, channels] = weights.shape;
@@ -220,7 +219,7 @@ function convolve(step) {
   const isPlain = tall * wide === 1;
   const windows = isPlain ? a : more([rows, inner]);
   const runs = isPlain ? [] : runsOf(step);
-  return (/** @type {Program} */ { multiply }) => {
+  return ({ multiply }) => {
     for (const [k, pixel, start, count] of runs) {
       for (let x = 0; x < count; x++) {
         const to = (pixel + x) * inner + k * channels;
@@ -233,7 +232,7 @@ function convolve(step) {
   };
 }
 
-/** Each channel by itself. @param {Step} step */
+/** Each channel by itself. @type {Operation} */
 function convolveChannels(step) {
   const { inputs: [a, weights, bias], out, option, more } = step;
   const channels = out.shape[3];
@@ -242,7 +241,7 @@ function convolveChannels(step) {
   weights.stored?.forEach((value, at) =>
     (factors[Math.floor(at / channels) * line + (at % channels)] = value));
   const kept = more([factors.length], factors);
-  return (/** @type {Program} */ { addTimes }) => {
+  return ({ addTimes }) => {
     out.data.set(bias.data);
     for (let at = channels; at < out.size; at *= 2) out.data.copyWithin(at, 0, at);
     for (const [k, to, from, count] of runs) {
@@ -253,8 +252,7 @@ function convolveChannels(step) {
 }
 
 /** Below zero, times a slope of the channel. @type {Operation} */
-function rectify({ inputs: [a, slopes], out, isFree, more }) {
-  if (isFree) out.at = a.at;
+function rectify({ inputs: [a, slopes], out, more }) {
   const kept = slopes ?? more([4], new Float32Array(4));
   const bytes = 4 * kept.size;
   return (program) => program.rectify(a.at, kept.at, out.at, a.size / kept.size, bytes, bytes);
@@ -304,8 +302,7 @@ const reduce = (isMean) => ({ inputs: [a], out }) => {
   };
 };
 /** Each number by itself. @param {(a: number, b: number) => number} f @returns {Operation} */
-const each = (f) => ({ inputs: [a, b = a], out, isFree }) => {
-  if (isFree && a.size === out.size) out.at = a.at;
+const each = (f) => ({ inputs: [a, b = a], out }) => {
   const [first, second] = [a, b].map(({ shape }) => spread(shape, out.shape));
   return () => first.forEach((place, at) => (out.data[at] = f(a.data[place], b.data[second[at]])));
 };
@@ -362,7 +359,6 @@ export function openNetwork(view) {
     const beyond = (ROWS - 1) * (tensor.shape.at(-1) ?? 1) + COLUMNS;
     end += Math.ceil((tensor.size + beyond) / 4) * 16;
   }
-  const uses = steps.flatMap(({ given }) => given);
   const works = steps.flatMap(({ code, given, made, options }) => {
     const [out, known] = [tensors[made], tensors.length];
     const inputs = given.map((index) => tensors[index]);
@@ -371,8 +367,7 @@ export function openNetwork(view) {
       return [];
     }
     inputs.forEach(place);
-    const isFree = !inputs[0].stored && uses.filter((index) => index === given[0]).length === 1;
-    const work = OPERATIONS[code]({ inputs, out, isFree, more,
+    const work = OPERATIONS[code]({ inputs, out, more,
       option: (index) => (options ? options.byte(index) : 0) });
     [out, ...tensors.slice(known)].forEach(place);
     return [work];

@@ -10,11 +10,9 @@ const EYES_M = 1.2;
 /** Of a frame at 72 images a second. */
 const BUDGET_S = 0.6 / 72;
 
-/** What a headset's eye sees: its projection is GL's, columns one after the other.
- * @param {{projectionMatrix: Float32Array, transform: {matrix: Float32Array}}} eye
- * @param {Vector} viewer Where the headset's floor begins, in the world.
- * @param {number} width @param {number} height @returns {Camera} */
-export function cameraOf({ projectionMatrix: p, transform: { matrix } }, viewer, width, height) {
+/** What a headset's eye sees, whose floor begins below the viewer. Matrices are GL's.
+ * @type {(eye: any, viewer: Vector, width: number, height: number) => Camera} */
+function cameraOf({ projectionMatrix: p, transform: { matrix } }, viewer, width, height) {
   /** @type {Vector[]} */
   const [right, up, back, centre] =
     [0, 4, 8, 12].map((at) => [matrix[at], matrix[at + 1], matrix[at + 2]]);
