@@ -42,7 +42,7 @@ CONTENT_TYPES: Final = {
 }
 FOLDER: Final = "web/"
 """Before the names of files in the page; a version is put into it."""
-_LATER: Final = "camera face finder live_face networks upload worklet xr"
+_LATER: Final = "camera face finder live_face networks pulse upload worklet xr"
 """Modules that a page asks for when they are wanted."""
 _ROOM: Final = re.compile(r"[A-Za-z0-9_.-]{0,64}")
 _WORKERS: Final = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'"

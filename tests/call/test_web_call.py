@@ -204,6 +204,14 @@ def test_a_voice_and_the_face_that_it_moves_arrive(children: Children, tab: Tab)
             time.sleep(0.1)
         assert call.num_live == 1
         assert call.errors == 0
+        with tab.in_background():  # where a page has slow timers and draws nothing
+            time.sleep(1)
+            began, ears.num_packets = len(latents), 0
+            time.sleep(4)
+            assert len(latents) - began > 60  # 120 on a calm machine
+            assert ears.num_packets > 40
+            assert np.std(np.array(latents[began:]), axis=0).max() > 0.1
+            assert tab.value("pica.self.playout.timeline.frames.length") <= 64 + 9
     assert np.std(np.array(latents), axis=0).max() > 0.1
     assert tab.complaints == []
 

@@ -80,6 +80,17 @@ class Tab:
             mouse = {"x": x, "y": y, "button": "left", "clickCount": 1}
             self.send("Input.dispatchMouseEvent", type=kind, **mouse)
 
+    @contextlib.contextmanager
+    def in_background(self) -> Iterator[None]:
+        """Another tab in front of this one."""
+        other = self.send("Target.createTarget", url="about:blank")["targetId"]
+        self.send("Target.activateTarget", targetId=other)
+        self.until("document.hidden")
+        yield
+        self.send("Target.closeTarget", targetId=other)
+        self.send("Page.bringToFront")
+        self.until("!document.hidden")
+
     def until(self, script: str, timeout_s: float = 10.0) -> Any:
         """Wait until an expression is true in the page, and return what it gives."""
         ends_s = time.monotonic() + timeout_s

@@ -278,16 +278,15 @@ export class Call extends EventTarget {
     const track = { kind: "face", avatar, stream: 1, deadline_ms: 0 };
     const own = new Member(this,
       { peer_id: "self", name, tracks: [track], metadata: {} }, -1, name);
+    await own.dress();
     let sequence = 0;
     const face = await OwnFace.open((payload, capturedUs, multiple) => {
       this.publish("face", payload, capturedUs, multiple);
       own.receive({ stream: 1, sequence, capturedUs, payload }, seconds());
       sequence = (sequence + 1) % 65_536;
     });
-    await own.dress();
-    if (this.status.state === "ended") return;
+    if (this.status.state === "ended") return face.close();
     this.self = own;
-    face.start();
     this.ownFace = face;
     this.voice.onSound = (pcm, endS) => face.hear(pcm, endS);
     this.say("people");

@@ -6,6 +6,7 @@ import { seconds } from "./clock.js";
 import { said } from "./wire.js";
 
 const FRAME_MS = 33;
+/** @typedef {{face: Float32Array | null, wish: string}} Seen What the person is to do. */
 /** @type {Record<string, string>} */
 const REASONS = {
   NotAllowedError: "the browser was not allowed to use the camera",
@@ -45,27 +46,26 @@ export class Camera {
       this.worker = worker;
       const video = Object.assign(document.createElement("video"),
         { srcObject: stream, muted: true, playsInline: true });
-      stream.getTracks()[0].onended = () => this.close("the camera is gone");
+      const [track] = stream.getTracks();
+      track.onended = () => this.close("the camera is gone");
       await video.play();
-      /** @type {(message: object, moved: Transferable[]) => Promise<Float32Array | null>} */
-      const ask = (message, moved) => new Promise((resolve, reject) => {
+      /** @type {(message: object, moved?: Transferable[]) => Promise<Seen>} */
+      const ask = (message, moved = []) => new Promise((resolve, reject) => {
         worker.onmessage = ({ data }) => resolve(data);
         worker.onerror = ({ message: why }) => reject(new Error(why));
         worker.postMessage(message, moved);
       });
-      await ask({ task: new Uint8Array(task), numbers }, []);
-      this.say("look ahead with a relaxed face for a moment");
-      const readyS = seconds() + 2;
+      await ask({ task: new Uint8Array(task), numbers });
       while (this.isOpen) {
         const capturedS = seconds();
         const picture = await createImageBitmap(video);
-        const face = await ask({ picture, atS: capturedS }, [picture]);
+        const seen = await ask({ picture, atS: capturedS }, [picture]);
         if (!this.isOpen) return;
+        // A phone in the background repeats its last picture.
+        const face = track.muted ? null : seen.face;
         this.see(face, capturedS);
-        if (!face) this.say("no face in front of the camera");
-        else if (seconds() > readyS) this.say("");
-        const leftMs = FRAME_MS - 1000 * (seconds() - capturedS);
-        await new Promise((resolve) => setTimeout(resolve, leftMs));
+        this.say(face ? seen.wish : "no face in front of the camera");
+        await ask({ waitMs: FRAME_MS - 1000 * (seconds() - capturedS) });
       }
     } catch (error) {
       const known = error instanceof DOMException && REASONS[error.name];

@@ -5,7 +5,7 @@
 
 import { seconds } from "./clock.js";
 import { NUM_ARKIT, encodeFace } from "./latent_stream.js";
-import { clamp } from "./space.js";
+import { clamp, sigmoid } from "./space.js";
 import { fromBase64 } from "./wire.js";
 
 /** @typedef {Record<string, {shape: number[], values: ArrayLike<number>}>} Weights */
@@ -22,22 +22,12 @@ const COLUMNS =
   [[17], [18], [19], [20], [31], [32], [35, 36], [29, 30], [23, 24], [37, 38], [39, 40]];
 const BLINKS = [0, 7];
 const BLINK_S = 0.22;
-const FRAME_MS = 33;
 /** A mouth of which nothing more is heard comes to rest within it. */
 const REST_S = 0.2;
 /** How long a face that a camera sees no more stands still, and how long one takes to another. */
 const [HOLD_S, EASE_S] = [0.2, 0.4];
 /** Sequence numbers are multiples of these in turn, so that a quarter of them is a stream too. */
 const MULTIPLES = [4, 1, 2, 1];
-
-/** @param {URL} url @returns {Promise<Weights>} */
-async function loadWeights(url) {
-  /** @type {Record<string, {shape: number[], halfs: string}>} */
-  const stored = await (await fetch(url)).json();
-  return Object.fromEntries(Object.entries(stored).map(([name, { shape, halfs }]) => {
-    return [name, { shape, values: new Float16Array(fromBase64(halfs).buffer) }];
-  }));
-}
 
 /** Values times a matrix, whose columns lie one after the other, plus a bias.
  * @param {Weights} weights @param {string} name @param {ArrayLike<number>} values */
@@ -50,8 +40,6 @@ function linear(weights, name, values) {
   });
 }
 
-/** @param {number} value */
-const sigmoid = (value) => 1 / (1 + Math.exp(-value));
 /** @template T @param {number} count @param {(index: number) => T} make */
 const each = (count, make) => Array.from({ length: count }, (_, index) => make(index));
 
@@ -126,7 +114,7 @@ export class Mouth {
     const answers = linear(weights, "out", this.state);
     const arkit = new Float32Array(NUM_ARKIT);
     COLUMNS.forEach((targets, column) => {
-      for (const target of targets) arkit[target] = Math.min(Math.max(answers[column], 0), 1);
+      for (const target of targets) arkit[target] = clamp(answers[column], 0, 1);
     });
     return arkit;
   }
@@ -147,26 +135,26 @@ export class OwnFace {
   capturedS = -Infinity;
   blinkS = seconds() + 2;
   phase = 0;
-  timer = 0;
+  pulse = new Worker(new URL("pulse.js", import.meta.url));
 
   /** @param {Mouth} mouth @param {SendFace} send */
   constructor(mouth, send) {
     this.mouth = mouth;
     this.send = send;
+    this.pulse.onmessage = () => this.frame(seconds());
   }
 
   /** @param {SendFace} send */
   static async open(send) {
-    const weights = await loadWeights(new URL("mouth.json", import.meta.url));
-    return new OwnFace(new Mouth(weights), send);
-  }
-
-  start() {
-    this.timer = setInterval(() => this.frame(seconds()), FRAME_MS);
+    /** @type {Record<string, {shape: number[], halfs: string}>} */
+    const stored = await (await fetch(new URL("mouth.json", import.meta.url))).json();
+    const weights = Object.entries(stored).map(([name, { shape, halfs }]) =>
+      [name, { shape, values: new Float16Array(fromBase64(halfs).buffer) }]);
+    return new OwnFace(new Mouth(Object.fromEntries(weights)), send);
   }
 
   close() {
-    clearInterval(this.timer);
+    this.pulse.terminate();
   }
 
   /** Take sound that was heard. @param {Float32Array} pcm 20 ms. @param {number} endS When its last
@@ -191,13 +179,12 @@ export class OwnFace {
     const isHeard = idleS - this.heardS < REST_S;
     const capturedS = isHeard ? this.heardS : idleS - REST_S;
     if (capturedS <= this.capturedS) return;
-    const arkit = isHeard ? this.shapes.slice() : new Float32Array(NUM_ARKIT);
+    const face = new Float32Array(NUM_ARKIT + 6);
+    if (isHeard) face.set(this.shapes);
     if (now > this.blinkS + BLINK_S) this.blinkS = now + 1.5 + 4 * Math.random();
     for (const shape of BLINKS) {
-      arkit[shape] = Math.max(1 - Math.abs((2 * (now - this.blinkS)) / BLINK_S - 1), 0);
+      face[shape] = Math.max(1 - Math.abs((2 * (now - this.blinkS)) / BLINK_S - 1), 0);
     }
-    const face = new Float32Array(NUM_ARKIT + 6);
-    face.set(arkit);
     face.set([0.03 * Math.sin(now / 2.3), 0.05 * Math.sin(now / 3.7), 0.01 * Math.sin(now / 5.1)],
       NUM_ARKIT);
     this.show(face, capturedS, false);

@@ -5,7 +5,7 @@
 
 import { Tracking } from "./live_face.js";
 import { openNetwork } from "./networks.js";
-import { along, clamp, cross, dot, minus } from "./space.js";
+import { along, clamp, cross, dot, minus, sigmoid } from "./space.js";
 
 /** @typedef {{data: ArrayLike<number>, width: number, height: number}} Pixels Red, green, blue and
  * one more. */
@@ -19,12 +19,9 @@ const [DETECTOR_PX, CROP_PX, MARGIN, SCORE, SAME_FACE, PRESENT] = [128, 256, 1.5
 const [MAX_SIDE, OUTER_CORNERS] = [4, [33, 263]];
 const [DEPTH_FACTOR, UNIT_M, FOCAL_LENGTH] = [0.8, 0.06, 0.9];
 
-/** @param {number} value */
-const sigmoid = (value) => 1 / (1 + Math.exp(-clamp(value, -80, 80)));
-
 /** What a region shows, bilinear and black outside of the picture, each value within [low, 1].
  * @type {(pixels: Pixels, region: Region, size: number, low?: number) => Float32Array} */
-export function crop({ data, width, height }, { x, y, side, angle }, size, low = 0) {
+function crop({ data, width, height }, { x, y, side, angle }, size, low = 0) {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
   const found = new Float32Array(3 * size * size).fill(low);
   for (let at = 0; at < size * size; at++) {
@@ -58,14 +55,12 @@ function merged(boxes) {
   let left = boxes.slice().sort((a, b) => b.score - a.score);
   const found = [];
   while (left.length) {
-    const [x, y, wide, high] = left[0].values;
-    /** @param {number[]} values */
-    const isSame = ([u, v, width, height]) => {
-      /** @type {(a: number, size: number, b: number, other: number) => number} */
-      const shared = (a, size, b, other) =>
-        Math.max(Math.min(a + size / 2, b + other / 2) - Math.max(a - size / 2, b - other / 2), 0);
-      const common = shared(x, wide, u, width) * shared(y, high, v, height);
-      return common / (wide * high + width * height - common + 1e-9) > SAME_FACE;
+    const a = left[0].values;
+    /** @param {number[]} b */
+    const isSame = (b) => {
+      const [wide, high] = [0, 1].map((k) => Math.max(Math.min(a[k] + a[k + 2] / 2, b[k]
+        + b[k + 2] / 2) - Math.max(a[k] - a[k + 2] / 2, b[k] - b[k + 2] / 2), 0));
+      return wide * high / (a[2] * a[3] + b[2] * b[3] - wide * high + 1e-9) > SAME_FACE;
     };
     const alike = left.filter((box, index) => !index || isSame(box.values));
     const sum = alike.reduce((total, { score }) => total + score, 0);
@@ -111,10 +106,10 @@ export function headPose(landmarks, head, width, height) {
   const axis = [c[1] - b[2], a[2] - c[0], b[0] - a[1]];
   const sine = Math.hypot(...axis) / 2;
   const angle = Math.atan2(sine, (a[0] + b[1] + c[2] - 1) / 2);
-  const distance = (FOCAL_LENGTH * width * UNIT_M) / Math.sqrt(power(points) / power(model));
-  const scale = distance / (FOCAL_LENGTH * width);
+  const scale = UNIT_M * Math.sqrt(power(model) / power(points));
   return [...along([0, 0, 0], sine > 1e-9 ? angle / (2 * sine) : 0.5, axis),
-    (middle[0] - width / 2) * scale, (middle[1] + height / 2) * scale, -distance];
+    (middle[0] - width / 2) * scale, (middle[1] + height / 2) * scale,
+    -FOCAL_LENGTH * width * scale];
 }
 
 /** Follows one face: the largest, until it is lost. */
@@ -127,8 +122,7 @@ export class FaceFinder {
     (_, at) => [Math.floor(at / count) % cells, Math.floor(at / count / cells)]
       .map((place) => (place + 0.5) / cells)));
 
-  /** @param {Uint8Array} task `face_landmarker.task`.
-   * @param {Numbers} numbers */
+  /** @param {Uint8Array} task `face_landmarker.task`. @param {Numbers} numbers */
   constructor(task, numbers) {
     this.numbers = numbers;
     this.networks = MEMBERS.map(([at, size]) =>
@@ -201,19 +195,23 @@ function regionOf(landmarks) {
 const tracking = new Tracking();
 /** @type {FaceFinder | null} */
 let finder = null;
-/** First the networks, then picture after picture; what is answered is the face, or none.
- * @param {MessageEvent} event */
-globalThis.onmessage = ({ data: { task, numbers, picture, atS } }) => {
-  if (task) {
-    finder = new FaceFinder(task, numbers);
-    return postMessage(null);
-  }
+/** @type {OffscreenCanvas | null} */
+let canvas = null;
+/** First the networks, then picture after picture; the answer is the face, or none. It waits, too:
+ * a page in the background has slow timers. @param {MessageEvent} event */
+globalThis.onmessage = ({ data: { task, numbers, picture, atS, waitMs } }) => {
+  if (task) finder = new FaceFinder(task, numbers);
+  if (!picture) return setTimeout(() => postMessage(null), waitMs);
+  /** @type {ImageBitmap} */
   const { width, height } = picture;
-  const canvas = new OffscreenCanvas(width, height)
-    .getContext("2d", { willReadFrequently: true });
-  canvas?.drawImage(picture, 0, 0);
-  const pixels = canvas?.getImageData(0, 0, width, height);
+  if (canvas?.width !== width || canvas.height !== height) {
+    canvas = new OffscreenCanvas(width, height);
+  }
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context?.drawImage(picture, 0, 0);
   picture.close();
+  const pixels = context?.getImageData(0, 0, width, height);
   const found = finder && pixels ? finder.find(pixels) : null;
-  return postMessage(found ? tracking.push(found, atS) : tracking.lose());
+  const face = found ? tracking.push(found, atS) : tracking.lose();
+  return postMessage({ face, wish: tracking.wish });
 };

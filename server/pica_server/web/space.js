@@ -20,6 +20,8 @@ export const minus = (a, b) => along(a, -1, b);
 export const length = (a) => Math.hypot(...a);
 /** Of length 1. @param {Vector} a */
 export const unit = (a) => along([0, 0, 0], 1 / length(a), a);
+/** @param {number} value */
+export const sigmoid = (value) => 1 / (1 + Math.exp(-value));
 /** @type {(value: number, low: number, high: number) => number} */
 export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
