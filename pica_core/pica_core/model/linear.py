@@ -59,8 +59,9 @@ class LinearGeometry(nn.Module):
         self._components: Tensor | None = None
 
     def forward(self, latent: Tensor) -> tuple[Tensor, Tensor]:
-        """Latents ``[N, 4, 8, 8]`` to dense vertices ``[N, V, 3]`` and tracked ``[N, Vt, 3]``."""
-        weights = flat_latent(latent) @ self.weight.T
+        """Latents ``[N, 4, 8, 8]`` to dense vertices ``[N, V, 3]`` and tracked ``[N, Vt, 3]``,
+        without gradients: what is trained of a latent has no part in them."""
+        weights = flat_latent(latent.detach()) @ self.weight.T
         dense = self._mean_m + torch.tensordot(weights, self._dense_components(), 1)
         return dense, self.tracked_mean + torch.tensordot(weights, self.tracked, 1)
 
