@@ -51,7 +51,7 @@ def hit_points(
     """
     count, vertices = seen_m.shape[:2]
     offset = vertices * torch.arange(count, device=seen_m.device)[:, None, None]
-    corners = faces[triangles] + offset
+    corners = faces.index_select(0, triangles.view(-1)).view(*triangles.shape, 3) + offset
     points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
     weights, depth_m = interpolation_weights(points, rays.reshape(-1, 3))
     return weights.view(rays.shape), depth_m.view(triangles.shape)
@@ -163,7 +163,7 @@ class MeshDrawer:
             face_weights = np.ones(len(faces), np.float32)
         weights = np.append(np.float32(0), face_weights.astype(np.float32))  # 0: no triangle
         self._weights = torch.from_numpy(weights).to(device)
-        self._chances = self._places = torch.zeros(0)
+        self._chances = torch.zeros(0)
 
     def draw(
         self, vertices_m: Tensor, views: Views, *, count: int = 0, shift: Tensor | None = None
@@ -188,13 +188,12 @@ class MeshDrawer:
 
     def _choose(self, ids: Tensor, count: int, shift: Tensor) -> Tensor:
         """Choose covered pixels, each with its chance, so that about `count` of an image come."""
-        if len(self._places) != ids.shape[1]:
-            chances = torch.rand(ids.shape[1], generator=torch.Generator().manual_seed(0))
+        size = ids.shape[1]
+        if len(self._chances) != 2 * size:
+            chances = torch.rand(size, generator=torch.Generator().manual_seed(0))
             self._chances = torch.cat([chances, chances]).to(ids.device)
-            self._places = torch.arange(ids.shape[1], device=ids.device)
         weights = self._weights.index_select(0, ids.view(-1) + 1).view(ids.shape)
-        place = (self._places + shift[:, None]).view(-1)
-        chances = self._chances.index_select(0, place).view(ids.shape)
+        chances = self._chances.unfold(0, size, 1).index_select(0, shift)
         return chances * (weights.sum(1, keepdim=True) / count) < weights
 
     def _listed(self, is_chosen: Tensor) -> tuple[Tensor, Tensor]:

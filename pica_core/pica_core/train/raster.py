@@ -87,7 +87,7 @@ class Views(NamedTuple):
 
     def see(self, vertices_m: Tensor) -> Tensor:
         """Head-frame meshes in their cameras' axes; metres ``[N, V, 3]`` both."""
-        return vertices_m @ self.rotation.mT + self.translation_m[:, None]
+        return (self.rotation @ vertices_m.mT).mT + self.translation_m[:, None]
 
     def rays(self, pixels: Tensor) -> Tensor:
         """Directions through pixel centres in camera axes, z = 1, ``[N, K, 3]``, by flat index
@@ -99,7 +99,7 @@ class Views(NamedTuple):
 
     def to_head(self, points_m: Tensor) -> Tensor:
         """Points in camera axes back in the head frame; metres ``[N, K, 3]`` both."""
-        return (points_m - self.translation_m[:, None]) @ self.rotation
+        return (self.rotation.mT @ (points_m - self.translation_m[:, None]).mT).mT
 
 
 class Rasteriser(Protocol):
