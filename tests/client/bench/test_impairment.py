@@ -41,12 +41,6 @@ def delays(arrived: list[tuple[float, int]]) -> np.ndarray:
     return np.array([arrival_s - index * FRAME_S for arrival_s, index in arrived])
 
 
-def test_a_calm_way_only_delays() -> None:
-    arrived, _ = run(CALM, 100)
-    assert [index for _, index in arrived] == list(range(100))
-    assert delays(arrived) == pytest.approx(CALM.delay_s)
-
-
 def test_jitter_has_the_stated_percentile_and_a_heavy_tail() -> None:
     impairment = Impairment(jitter_s=0.05)
     extra = []

@@ -118,14 +118,6 @@ def test_a_map_that_does_not_come_stays(context: moderngl.Context, maps: Maps) -
     np.testing.assert_array_equal(drawn(both, placed()), drawn(apart, placed()))
 
 
-@pytest.mark.parametrize("level", TOY.levels)
-def test_maps_are_drawn_with_the_mesh_of_their_level(
-    context: moderngl.Context, maps: Maps, level: int
-) -> None:
-    stats = renderer_with(context, maps, level).draw([placed()], NEAR)
-    assert stats.num_triangles == len(TOY.level_faces(level))
-
-
 @pytest.mark.parametrize("level", TOY.levels[:-1])
 def test_a_sheet_puts_every_vertex_where_the_decoder_has_it(
     context: moderngl.Context, maps: Maps, level: int
