@@ -6,12 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.senders import LoadedAvatars
+from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.participant import LOWER_INTERVAL_S, Participant
 from pica_client.call.roster import Member
+from pica_protocol.frames import Frame
 from pica_protocol.messages import SHARES, Peer, Subscribe, Track
 
 pytestmark = pytest.mark.unit
 
+FACE = toy_payload()
 TRACK = Track(kind="face", avatar="1" * 64, stream=1)
 
 
@@ -77,6 +81,24 @@ def test_a_new_connection_is_told_at_once_if_less_is_wanted(
     told(ada, 0.5)
     ada.join_again(now=20.0)
     assert told(ada, 20.0) == expected
+
+
+def test_a_face_whose_stream_was_stopped_stands_still_until_its_next_frame() -> None:
+    ada, avatars = make_participant(), LoadedAvatars({TRACK.avatar: make_toy_avatar()})
+    found = []
+    for number, every in enumerate((1, 0, 1)):
+        ada.subscribe(every, now=10.0 * number)
+        told(ada, 10.0 * number + 1)
+        for moment in (2, 3):  # while nothing is wanted these were under way
+            captured_us = 1_000_000 * (10 * number + moment)
+            frame = Frame(
+                stream=1, sequence=2 * number + moment, captured_us=captured_us, payload=FACE
+            )
+            ada.receive_frame(frame, captured_us / 1e6, avatars)
+        played, is_held = ada.play(10.0 * number + 4)
+        assert played is not None
+        found.append((played.captured_us // 1_000_000, is_held))
+    assert found == [(3, False), (3, True), (23, False)]
 
 
 shares = st.sampled_from(sorted(SHARES))

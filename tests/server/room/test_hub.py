@@ -7,7 +7,7 @@ from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, encode_frame, media_message
-from pica_protocol.messages import Bye, Join, Joined, PeerJoined, PeerLeft, Whisper
+from pica_protocol.messages import Bye, Join, Joined, PeerJoined, PeerLeft, Subscribe, Whisper
 from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.limits import RefusalError
 from pica_server.room.connections import CALM_S, LATE_S, Overload
@@ -232,6 +232,18 @@ def test_whispers_do_not_get_a_slow_reader_closed() -> None:
     assert (
         bob.connection.outbox.waiting_frames == hub.stats.whispers - hub.stats.dropped["overflow"]
     )
+
+
+def test_who_wants_a_stream_again_or_comes_late_gets_its_newest_face() -> None:
+    hub, (ada, bob) = hub_with("Ada", "Bob")
+    for every, heard in ((0, []), (1, [b"newest"])):
+        bob.session.tell(Subscribe(stream=ada.stream, every=every))
+        bob.speak(now=1.0)
+        for payload in () if every else (b"older", b"newest"):
+            ada.send_frame(payload, now=1.0)
+        assert [each.payload for each in bob.listen(1.0) if isinstance(each, Frame)] == heard
+    late = Member(hub, "Late", now=2.0)
+    assert [each.payload for each in late.heard if isinstance(each, Frame)] == [b"newest"]
 
 
 def test_close_codes_that_peers_make_up_are_counted_together() -> None:
