@@ -53,23 +53,6 @@ def test_no_frame_opens_again_after_a_forged_return(forged: str) -> None:
     assert not any(room.show("ada", frame) for frame in [*shown, held_back])
 
 
-def test_who_left_before_we_knew_their_key_is_not_shown_when_their_notes_are_let_through() -> None:
-    room = Room(fate=lambda whispered: int(whispered[:2] != ("ben", "ada")))
-    for name in ("ada", "ben"):
-        room.join(name)
-    room.run(3)  # ben has heard ada; what he says is held back
-    held_back = room.seal("ben", b"held back")
-    gone = room.leave("ben").peer
-    tell(room, "ada", PeerJoined(peer=gone))
-    for _ in range(2):
-        for sender, receiver, data in list(room.whispers):
-            if (sender, receiver) == ("ben", "ada"):
-                tell(room, "ada", Whisper(peer_id=sender, data=data))
-        room.run(1)
-    assert not room.show("ada", held_back)
-    assert room.members["ada"].guard.status.verified == frozenset()
-
-
 def test_a_frame_does_not_open_on_two_connections_of_its_receiver() -> None:
     room = full_room("ada", "ben")
     room.leave("ben")
@@ -146,21 +129,6 @@ def test_who_is_relabelled_is_not_opened_and_said_to_be(label: str) -> None:
     assert room.members["ada"].frames[-1].payload == b"ben again"
 
 
-def test_two_who_changed_places_are_not_opened() -> None:
-    room = full_room("ada", "ben", "cho")
-    ben, cho = (room.members[name].peer for name in ("ben", "cho"))
-    swapped = tuple(replace(a, name=b.name, tracks=b.tracks) for a, b in ((ben, cho), (cho, ben)))
-    ada = room.members["ada"]
-    ada.frames.clear()
-    closed = Closed(code=1006, reason="", is_remote=True)
-    tell(room, "ada", closed, replace(ada.joined, peers=swapped))
-    room.run(10)
-    room.send("ben")
-    room.send("cho")
-    assert ada.frames == []
-    assert {state(room, "ada", name) for name in ("ben", "cho")} == {SealState.RELABELLED}
-
-
 def test_keys_are_bound_to_the_room_that_was_asked_for() -> None:
     room = full_room("ada")
     ben = room.join("ben", asks_for="another room")  # and the relay puts him into this one
@@ -169,21 +137,6 @@ def test_keys_are_bound_to_the_room_that_was_asked_for() -> None:
     room.send("ben")
     assert ben.frames == room.members["ada"].frames == []
     assert state(room, "ada", "ben") is SealState.SECRET_DIFFERS
-
-
-@pytest.mark.parametrize("is_present", [True, False], ids=["in this call", "of an earlier call"])
-def test_replayed_notes_make_no_ghost_of_a_member(is_present: bool) -> None:
-    room = full_room("ada", "ben")
-    ada, gone = room.members["ada"], room.leave("ben").peer
-    if not is_present:
-        tell(room, "ada", Closed(code=1006, reason="", is_remote=True), ada.joined)
-    tell(room, "ada", PeerJoined(peer=gone))
-    for sender, receiver, data in list(room.whispers):
-        if (sender, receiver) == ("ben", "ada"):
-            tell(room, "ada", Whisper(peer_id=sender, data=data))
-            assert ada.guard.status.verified == frozenset()
-    room.run(10)
-    assert ada.guard.status.verified == frozenset()
 
 
 def test_whoever_can_read_us_is_in_the_code_and_counts_when_it_has_shown_itself() -> None:
