@@ -16,8 +16,7 @@ from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
 from pica_client.ui.options import JoinOptions, check_voice
 from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
-from pica_client.voice.pcm import PcmSource
-from pica_client.voice.source import VoicePublisher, VoiceSource, open_voice
+from pica_client.voice.source import PcmSource, VoicePublisher, VoiceSource, open_voice
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
