@@ -36,11 +36,9 @@ class AvatarStore(Protocol):
 
 
 class AvatarLibrary:
-    """Avatars in files: the shipped ones first, then those given."""
+    """Avatars in files: the shipped ones, and those that are found or added."""
 
-    def __init__(
-        self, files: Iterable[Path] = (), *, shipped: Iterable[Path] | None = None
-    ) -> None:
+    def __init__(self, *, shipped: Iterable[Path] | None = None) -> None:
         """Hash all files.
 
         Args:
@@ -49,9 +47,8 @@ class AvatarLibrary:
         Raises:
             AvatarFileError: A file cannot be read.
         """
-        paths = [*(shipped_avatar_files() if shipped is None else shipped), *files]
         self._paths: dict[str, Path] = {}
-        for path in paths:
+        for path in shipped_avatar_files() if shipped is None else shipped:
             self._paths.setdefault(avatar_id(path), path)
         self._loading: dict[str, Future[Avatar]] = {}
         self._lock = threading.Lock()

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.request import DecodeRequest
-from pica_client.render.scene import Placement, head_matrix
+from pica_client.render.scene import head_matrix
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan, Scheduler, requests_of
 from pica_core.avatar.file import Avatar
@@ -18,7 +18,6 @@ pytestmark = pytest.mark.unit
 SIZE = (960, 540)
 AMPLE_S = 10.0
 FRAME_S = 1 / 30
-PLACEMENT = Placement(slot="ada", world_from_head=np.eye(4, dtype=np.float32))
 
 
 @pytest.fixture(scope="module")

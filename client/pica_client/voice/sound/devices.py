@@ -144,8 +144,8 @@ class Loudspeaker(_Device):
         on_played: Is given what goes to the device, float32 ``[FRAME_SAMPLES, 2]``.
     """
 
-    def __init__(self, mixer: VoiceMixer, name: str = "") -> None:
-        super().__init__(name)
+    def __init__(self, mixer: VoiceMixer) -> None:
+        super().__init__("")
         self.on_played: Callable[[FloatArray], None] | None = None
         self._mixer = mixer
         self._played_s: deque[float] = deque(maxlen=LOST_FRAMES)
