@@ -159,24 +159,6 @@ def test_a_slot_that_left_is_drawn_no_more(context: moderngl.Context) -> None:
     assert renderer.draw([still("p0")], camera_at(0, 0, 0.9)).num_triangles == 0
 
 
-def test_edge_smoothing_changes_edges_and_leaves_the_rest(context: moderngl.Context) -> None:
-    sharp, smooth = (
-        renderer_with(context, TOY, options=RenderOptions(smooth_edges=flag))
-        for flag in (False, True)
-    )
-    images = []
-    for renderer in (sharp, smooth):
-        renderer.draw([still("p0")], camera_at(0, 0, 0.9))
-        images.append(renderer.read_image())
-    changed = (images[0] != images[1]).any(axis=-1)
-    _, _, heads = sharp.read_surface()
-    silhouette = np.zeros_like(changed)
-    silhouette[:, 1:] |= (heads[:, 1:] >= 0) != (heads[:, :-1] >= 0)
-    silhouette[1:] |= (heads[1:] >= 0) != (heads[:-1] >= 0)
-    assert changed[silhouette].mean() > 0.6
-    assert changed.mean() < 0.2
-
-
 @pytest.mark.parametrize(("weights", "programs"), [("block", 0), ("turns", 1)])
 def test_weights_in_a_block_let_avatars_of_a_spec_share_a_program(
     context: moderngl.Context, weights: str, programs: int
