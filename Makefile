@@ -45,10 +45,10 @@ imports: .venv/.ready-test
 docs: .venv/.ready-test
 	$(BIN)/python -m mkdocs build --strict --quiet
 
-# What README, quick start and tutorial tell a reader to type, typed in new folders.
+# What these pages tell a reader to type, typed in new folders.
 pages: .venv/.ready-test
 	@sh scripts/system_libraries.sh
-	$(BIN)/python scripts/pages.py README.md docs/quick-start.md docs/tutorial.md
+	$(BIN)/python scripts/pages.py README.md docs/quick-start.md docs/tutorial.md docs/own-head.md
 
 # A call in a real window, steered by mouse on an X server of its own; pictures into out/window.
 window: .venv/.ready-test

@@ -2,6 +2,7 @@
 
     python scripts/pages.py README.md docs/quick-start.md
     python scripts/pages.py docs/tutorial.md          # trains very little; a minute
+    python scripts/pages.py docs/own-head.md          # three drafts; ten minutes
     python scripts/pages.py --command-line            # write the options of docs/command-line.md
 
 Every ``sh`` block of a page is run in order, and a command that fails ends the run. A comment in
@@ -10,7 +11,8 @@ front of a block changes that:
     <!-- in the background -->       it runs until the next heading, and is then stopped by Ctrl-C
     <!-- only read: REASON -->       its ``pica`` commands are only checked for options that exist
 
-Names of other machines are replaced by this one; see `HERE`. A rig for the tutorial lies ready.
+What is another machine's or a person's is replaced, see `HERE`. A rig, a scan, photos and a film
+lie ready where a page names them, and the folder is the user's home.
 On the page of the command line an option is described by the first sentence under its field in the
 code; `--help` shows the rest, and a test compares the page with the code.
 """
@@ -21,13 +23,14 @@ import argparse
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,8 +40,13 @@ from pica_command.options import COMMON, CommandLine
 from pica_command.table import COMMANDS, GROUPS, command_of, refuse
 
 ROOT = Path(__file__).resolve().parent.parent
-HERE = {"wss://relay.example": "ws://127.0.0.1:8765", "192.168.1.20": "127.0.0.1"}
-"""What stands for another machine on a page, and what is reached instead."""
+HERE = {
+    "wss://relay.example": "ws://127.0.0.1:8765",
+    "192.168.1.20": "127.0.0.1",
+    "webcam setup": "webcam setup --from face_landmarker.task",
+    " --draft": " --draft --yes",
+}
+"""What a page says, and what is done instead: nothing is fetched, no person asked."""
 LONGEST_S = 3600
 COMMAND_LINE = ROOT / "docs" / "command-line.md"
 MARK = "<!-- from here on written by scripts/pages.py --command-line -->"
@@ -86,22 +94,21 @@ def check(words: list[str]) -> None:
     CommandLine(name, COMMANDS[name], None).read(words[len(name.split()) :])
 
 
-def environment() -> dict[str, str]:
-    """Our `pica` first, no display, and nothing that the user has set for it."""
+def environment(folder: Path) -> dict[str, str]:
+    """Our `pica` first, no display, and nothing that the user has set or keeps for it."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
-    kept.pop("DISPLAY", None)
+    for name in ("DISPLAY", "XDG_DATA_HOME"):
+        kept.pop(name, None)
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return kept | {"PATH": path, "PICA_CONFIG": os.devnull}
+    return kept | {"PATH": path, "PICA_CONFIG": os.devnull, "HOME": str(folder)}
 
 
-def run_page(path: Path, folder: Path) -> None:
-    """Run one page in a folder."""
+def run_page(path: Path, page: str, folder: Path) -> None:
+    """Run one page of this text in a folder."""
     running: list[subprocess.Popen[bytes]] = []
     try:
-        for block in blocks_of(path.read_text(encoding="utf-8")):
+        for block in blocks_of(page):
             text = block.text
-            for there, here in HERE.items():
-                text = text.replace(there, here)
             if block.how == "heading":
                 stop(running)
             elif block.how.startswith("only read"):
@@ -121,7 +128,7 @@ def run_page(path: Path, folder: Path) -> None:
 
 def start(text: str, folder: Path) -> subprocess.Popen[bytes]:
     """Run some lines in a shell."""
-    return subprocess.Popen(["bash", "-c", text], cwd=folder, env=environment())
+    return subprocess.Popen(["bash", "-c", text], cwd=folder, env=environment(folder))
 
 
 def stop(running: list[subprocess.Popen[bytes]]) -> None:
@@ -187,12 +194,26 @@ def main() -> None:
     if options.command_line:
         COMMAND_LINE.write_text(command_line_page())
     sys.path.insert(0, str(ROOT / "tests"))
+    from helpers.face_networks import face_file
+    from helpers.own_head import AZIMUTHS, draw_person_from, write_film, write_photos, write_scan
     from helpers.rig_toy import toy_rig, write_glb
 
+    lying: dict[str, Callable[[Path], object]] = {
+        "head.glb": lambda path: write_glb(path, toy_rig()),
+        "scan.glb": write_scan,
+        "photos": write_photos,
+        "film.mp4": lambda path: write_film(path, draw_person_from(*AZIMUTHS), 6.0),
+        "face_landmarker.task": lambda path: shutil.copy(face_file(), path),
+    }
     for page in options.pages:
         with tempfile.TemporaryDirectory(prefix="pica-page-") as folder:
-            write_glb(Path(folder) / "head.glb", toy_rig())
-            run_page(page, Path(folder))
+            text = page.read_text(encoding="utf-8")
+            for there, here in HERE.items():
+                text = text.replace(there, here)
+            named = {w for block in blocks_of(text) for words in block.commands for w in words}
+            for name in named & lying.keys():
+                lying[name](Path(folder) / name)
+            run_page(page, text, Path(folder))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from pica_command.main import main
 pytestmark = pytest.mark.unit
 
 HOUSE, SCRIPT = load_script("house"), load_script("pages")
-PAGES = ("README.md", "docs/quick-start.md", "docs/tutorial.md")
+PAGES = ("README.md", "docs/quick-start.md", "docs/tutorial.md", "docs/own-head.md")
 ALL_PAGES = sorted(
     path
     for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "docker/**/*.md")

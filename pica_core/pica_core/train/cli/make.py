@@ -4,7 +4,7 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pica_core.train.train import CHECKPOINT
 
 STAGE = RenderOptions(frames=256, cameras=10, size="384x384")
 """What is rendered of a fitted head (that of docs/avatars.md, whose seconds are known)."""
+DRAFT = replace(STAGE, frames=24, cameras=5, size="192x192")
 LICENCE = "of the person shown; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 MINUTES = {"fit": 0.5, "capture": 3.8, "train": 3.3, "export": 1.6}
 """What the steps take on two quiet cores: of people measured (docs/avatars.md), the fit alone of a
@@ -32,6 +33,8 @@ class MakeOptions(MeChoices):
 
     name: str
     """Name to show in a call."""
+    draft: bool = False
+    """Make a blurred one first, in minutes, in the folder draft of the other's."""
     out: Path | None = None
     """Folder for the avatar and what it is made of; by default one of the user's data folder. What
     is finished there is not made again."""
@@ -47,31 +50,34 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
     console = Console(stderr=True, highlight=False)
     slug = re.sub(r"[^a-z0-9]+", "-", options.name.lower()).strip("-") or "me"
     folder = options.out or FOLDERS.user_data_path / "me" / slug
-    file = folder / f"{slug}.pica"
+    work, stage = (folder / "draft", DRAFT) if options.draft else (folder, STAGE)
+    file = work / f"{slug}.pica"
     seconds: dict[str, float] = {}
 
     @contextmanager
     def step(name: str) -> Iterator[None]:
         number, begun = len(seconds) + 1, time.monotonic()
         left = sum(list(MINUTES.values())[number - 1 :])
-        console.print(f"[{number}/{len(MINUTES)}] {name}: about {left:.0f} minutes left in all")
+        told = "a draft" if options.draft else f"about {left:.0f} minutes left in all"
+        console.print(f"[{number}/{len(MINUTES)}] {name}: {told}")
         yield
         seconds[name] = round(time.monotonic() - begun, 1)
 
     with step("fit"):
         head = make_head(options, folder, console)
-    capture, run = folder / "capture", folder / "run"
+    capture, run = work / "capture", work / "run"
     with step("capture"):
         if not (capture / "capture.json").exists():
-            render_me(console, head, STAGE, capture)
+            render_me(console, head, stage, capture)
     with step("train"):
         if not (run / EVALUATION_FILE).exists():
             resume = (run / CHECKPOINT).exists()
             train(
                 TrainOptions(
-                    capture=capture, out=run, preset="small", resume=resume, threads=options.threads
+                    capture=capture, out=run, preset="tiny" if options.draft else "small",
+                    resume=resume, threads=options.threads,
                 )
-            )
+            )  # fmt: skip
     with step("export"):
         if not file.exists():
             export(

@@ -3,19 +3,17 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
 from helpers.face_networks import face_networks
 from helpers.heic import heic_of
-from helpers.small_capture import small_subject
+from helpers.own_head import AZIMUTHS, SIDE, draw_person_from, write_film, write_photos
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.camera import Camera, aimed_camera, look_at
+from pica_core.camera import Camera, look_at
 from pica_core.capture.me.face import align, read_head
 from pica_core.capture.me.film import choose_frames, spread_out
 from pica_core.capture.me.nersemble import camera_films, read_films
@@ -35,8 +33,7 @@ from pica_core.types import ByteArray, Float64Array
 
 pytestmark = pytest.mark.render
 
-SIDE, FOCAL = 640, 900.0
-AZIMUTHS = (0.0, 25.0, -25.0)
+FOCAL = 900.0
 
 
 def test_identity_focal_length_and_expressions_follow_from_landmarks() -> None:
@@ -161,15 +158,8 @@ def test_frames_are_the_sharpest_of_each_view_and_spread_from_the_front() -> Non
 
 @pytest.fixture(scope="module")
 def pictures() -> list[ByteArray]:
-    """A drawn person from three sides, over a grey ground."""
-    subject = small_subject(bake_size=512)
-    subject.pose(np.zeros(NUM_ARKIT))
-    drawn = [
-        subject.draw(aimed_camera("", azimuth, 0.0, "head", width=SIDE, height=SIDE)).image
-        for azimuth in (*AZIMUTHS, 100.0)
-    ]
-    subject.release()
-    return drawn
+    """A drawn person from three sides, and a profile."""
+    return draw_person_from(*AZIMUTHS, 100.0)
 
 
 Change = Callable[[Image.Image], Image.Image]
@@ -249,22 +239,6 @@ def test_the_command_takes_one_kind_of_input(tmp_path: Path) -> None:
         me(MeOptions(photos=tmp_path, pupillary_distance_mm=7, out=tmp_path / "capture"))
 
 
-def write_film(path: Path, images: list[ByteArray], seconds: float) -> None:
-    """A film of still pictures, stored on its side, whose first time is not 0."""
-    with av.open(str(path), "w") as film:
-        stream = film.add_stream("mpeg4", rate=10)
-        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "yuv420p"
-        stream.bit_rate = 8_000_000
-        stream.set_display_rotation(90)
-        for number in range(int(10 * seconds)):
-            image = images[int(number / (10 * seconds) * len(images))]
-            turned = np.ascontiguousarray(np.rot90(image, -1))
-            frame = av.VideoFrame.from_ndarray(turned, format="rgb24")
-            frame.pts, frame.time_base = 50 + number, Fraction(1, 10)
-            film.mux(stream.encode(frame))
-        film.mux(stream.encode())
-
-
 def test_a_film_gives_one_frame_of_each_view(
     tmp_path: Path, pictures: list[ByteArray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -320,12 +294,10 @@ def test_a_nersemble_folder_gives_the_first_picture_of_each_camera(
 
 @pytest.mark.slow
 def test_photos_become_a_head_with_its_report(
-    tmp_path: Path, pictures: list[ByteArray], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "photos"
-    folder.mkdir()
-    for number, image in enumerate(pictures[:3]):
-        Image.fromarray(image).save(folder / f"{number}.png")
+    write_photos(folder)
     monkeypatch.setattr("pica_core.cli.load_networks", face_networks)
     monkeypatch.setattr("pica_core.capture.me.scanned.TEXTURE_SIZE", 256)
     monkeypatch.setattr("pica_core.cli.render_me", lambda console, head, *_: {"head": str(head)})

@@ -1,18 +1,14 @@
 """Scans: what cannot be one, and one whose truth is known."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
 from scipy.spatial import KDTree
 
 from helpers.face_networks import face_networks
-from helpers.small_capture import small_subject
-from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.camera import dome_cameras
+from helpers.own_head import Truth, write_scan
 from pica_core.capture.me.face import head_faces
 from pica_core.capture.me.register import Registered, register
 from pica_core.capture.me.report import report_scan
@@ -22,11 +18,12 @@ from pica_core.capture.person.choices import read_model
 from pica_core.capture.triangles import nearest, samples
 from pica_core.errors import CaptureError
 from pica_core.face_networks import FaceNetworks
-from pica_core.types import Float64Array, IntArray
+from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.render
 
 VIEWS = [(azimuth, 0.0) for azimuth in (-40.0, -20.0, 0.0, 20.0, 40.0)]
+SPACING_M = 0.0004
 SPHERE = trimesh.creation.icosphere(subdivisions=5)
 
 
@@ -109,42 +106,6 @@ def test_a_scan_in_millimetres_on_its_back_with_holes_gives_the_persons_shape(
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/jpeg") == 9
     assert all(each in page for each in head.guessed)
-
-
-# A scan whose true shape is known: other units, lying on its back, noise and holes
-
-
-MILLIMETRES, NOISE_M, HOLES, SPACING_M = 1000.0, 0.0003, 6, 0.0004
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-
-
-class Truth(NamedTuple):
-    """The surface that was scanned, in the frame of the scan: ``[V, 3]`` and ``[F, 3]``."""
-
-    points: Float64Array
-    faces: IntArray
-
-
-def write_scan(path: Path) -> Truth:
-    """Write a scan of a small subject as a GLB file in millimetres."""
-    subject = small_subject(bake_size=512)
-    points = subject.pose(np.zeros(NUM_ARKIT)).astype(np.float64)
-    _, texture = subject.photograph(dome_cameras(5, 384, 384, "one"), 512)
-    subject.release()
-    random = np.random.default_rng(7)
-    faces, chart = subject.topology.faces, subject.topology.vertex_uv
-    middles, kept = points[faces].mean(1), np.ones(len(faces), np.bool_)
-    for _ in range(HOLES):
-        centre = middles[random.integers(len(middles))]
-        kept &= np.linalg.norm(middles - centre, axis=1) > random.uniform(0.004, 0.015)
-    same = subject.head.chart.source
-    noise = random.normal(0, NOISE_M, (same.max() + 1, 3))[same]
-    away = random.normal(0, MILLIMETRES, 3)
-    material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(texture))
-    visual = trimesh.visual.TextureVisuals(uv=chart * [1, -1] + [0, 1], material=material)
-    moved = MILLIMETRES * (points + noise) @ Z_UP.T + away
-    trimesh.Trimesh(moved, faces[kept], visual=visual, process=False).export(path)
-    return Truth(MILLIMETRES * points @ Z_UP.T + away, faces)
 
 
 def face_error_m(found: Registered, rest_m: Float64Array, truth: Truth) -> float:
