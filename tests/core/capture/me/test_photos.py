@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image, ImageFilter
+from PIL import Image, ImageDraw, ImageFilter
 
 from helpers.face_networks import face_networks
 from helpers.heic import heic_of
@@ -162,6 +162,14 @@ def pictures() -> list[ByteArray]:
     return draw_person_from(*AZIMUTHS, 100.0)
 
 
+def darken_eyes(face: Image.Image) -> Image.Image:
+    """A frontal face with sunglasses."""
+    landmarks, _ = face_networks().landmarks(face, face_networks().detect(face)[0])
+    for column, row in landmarks[[468, 473], :2]:
+        ImageDraw.Draw(face).ellipse((column - 32, row - 26, column + 32, row + 26), (12, 12, 14))
+    return face
+
+
 Change = Callable[[Image.Image], Image.Image]
 
 
@@ -173,6 +181,7 @@ Change = Callable[[Image.Image], Image.Image]
         ("grey.png", lambda face: Image.new("RGB", face.size, "grey"), "no face is found"),
         ("blurred.png", lambda face: face.filter(ImageFilter.GaussianBlur(9)), "blurred|no face"),
         ("pair.png", lambda face: Image.fromarray(np.hstack([face, face])), "two people"),
+        ("sunglasses.png", lambda face: darken_eyes(face), "the eyes are dark; take sunglasses"),
         ("cut.png", lambda face: face.crop((0, 330, SIDE, SIDE)), "cut off|no face"),
     ],
 )
