@@ -1,13 +1,14 @@
 """What a relay without the secret tries: forged comings and goings, other labels, mirrors."""
 
+import random
 from dataclasses import replace
 
 import pytest
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
-from helpers.sealed_room import DELAY_S, Room, full_room
-from pica_client.e2ee.guard import YOUNG_KEY_S
+from helpers.sealed_room import DELAY_S, SECRET, Room, full_room
+from pica_client.e2ee.guard import YOUNG_KEY_S, Guard
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, SILENT_S
 from pica_client.e2ee.secret import RoomSecret, SealState
 from pica_protocol.frames import Frame
@@ -137,6 +138,14 @@ def test_keys_are_bound_to_the_room_that_was_asked_for() -> None:
     room.send("ben")
     assert ben.frames == room.members["ada"].frames == []
     assert state(room, "ada", "ben") is SealState.SECRET_DIFFERS
+
+
+def test_a_member_with_the_public_key_of_another_is_not_believed() -> None:
+    room = full_room("ada", "ben")
+    as_ben = random.Random("ben/2").randbytes  # what `Room` gave him
+    room.join("mallory", guard=Guard(SECRET, random_bytes=as_ben))
+    room.run(3)
+    assert room.members["ada"].guard.status.verified == {"ben"}
 
 
 def test_whoever_can_read_us_is_in_the_code_and_counts_when_it_has_shown_itself() -> None:
