@@ -18,6 +18,7 @@ from pica_client.errors import SealError
 from pica_protocol.frames import Frame
 from pica_protocol.limits import MAX_WHISPER_BYTES
 from pica_protocol.messages import Whisper
+from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit
 
@@ -34,9 +35,14 @@ def test_two_peers_agree_within_three_messages_each() -> None:
     assert MESSAGE_BYTES <= MAX_WHISPER_BYTES
 
 
-def test_outside_a_room_nothing_is_sealed() -> None:
-    with pytest.raises(SealError, match="no key to seal with"):
-        Guard(SECRET).seal(Frame(stream=1, sequence=0, captured_us=0, payload=b""))
+def test_outside_a_room_nothing_is_sealed_or_opened() -> None:
+    room = full_room("ada", "ben")
+    frame, left = room.seal("ben"), room.members["ada"].guard
+    left.receive_event(Closed(code=1006, reason="", is_remote=True), room.now)
+    assert not room.show("ada", frame)
+    for guard in (Guard(SECRET), left):
+        with pytest.raises(SealError, match="no key to seal with"):
+            guard.seal(Frame(stream=1, sequence=0, captured_us=0, payload=b""))
 
 
 def test_a_quiet_room_falls_silent() -> None:
