@@ -16,7 +16,13 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.me.face import TEXTURE_SIZE, OwnHead, chart_uv, landmark_places
+from pica_core.capture.me.face import (
+    TEXTURE_SIZE,
+    OwnHead,
+    chart_uv,
+    landmark_places,
+    landmark_values,
+)
 from pica_core.capture.me.register import Registered
 from pica_core.capture.person.choices import (
     CLIP,
@@ -28,7 +34,7 @@ from pica_core.capture.person.choices import (
     Person,
     read_model,
 )
-from pica_core.capture.rig.features import Features, find_features, hair_coverage
+from pica_core.capture.rig.features import find_features, hair_coverage
 from pica_core.gl import create_context, link_program
 from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, Int64Array
 
@@ -124,9 +130,19 @@ def unlit(colour: Float64Array) -> Float64Array:
     return np.asarray(x / 0.92 / STAGE_LIGHT)
 
 
+BROW_EDGES = (
+    ((70, 63, 105, 66, 107), (46, 53, 52, 65, 55)),
+    ((336, 296, 334, 293, 300), (285, 295, 282, 283, 276)),
+)
+"""Landmarks along upper and lower edge of each brow, from the subject's right to the left."""
+BROW_HAIRS, BETWEEN_HAIRS = 0.9, 0.06
+"""Share of a brow that is more like skin than its hairs, so that thin, fair and grey ones are seen;
+and that of skin in these (measured on drawn people)."""
+
+
 def skin_colours(
     albedo: Float64Array, face: BoolArray, places: Float64Array, lips: Float64Array,
-    features: Features,
+    landmarks: Float64Array,
 ) -> tuple[dict[str, tuple[float, ...]], float]:  # fmt: skip
     """Colours of skin, lips and brows by their names in `PAINT`, and the nearest tone, 1 to 6.
 
@@ -135,23 +151,39 @@ def skin_colours(
         face: Those of the inner face that are seen. ``[T]``.
         places: Where they lie, head frame. ``[T, 3]``.
         lips: How deep in the lips, see `Features.lips`. ``[T]``.
+        landmarks: Of the face networks. ``[478, 3]``.
     """
-    x, y = np.abs(places[:, 0]), places[:, 1]
+    y = places[:, 1]
     cheek = face & (lips < -0.8) & (y < 0.005) & (y > -0.06)
     rest = cheek if cheek.sum() > 100 else face
     skin = np.median(albedo[rest], axis=0) if rest.any() else np.array(SKIN_TONES[1])
     look = {"skin_rgb": _as_colour(skin)}
     if (mouth := face & (lips > 0.3)).sum() > 50:
         look["lip_rgb"] = _as_colour(np.median(albedo[mouth], axis=0))
-    brow = face & (np.abs(y - features.brow_y) < 0.008) & (x > 0.015) & (x < 0.05)
-    if brow.sum() > 50:
-        bright = albedo[brow].sum(1)
-        dark = np.median(albedo[brow][bright <= np.quantile(bright, 0.25)], axis=0)
-        look["brow_rgb"] = _as_colour(np.minimum(dark, 0.12))
+    if (brow := face & _within_brows(places, landmarks)).sum() > 50:
+        apart = np.abs(np.log(np.maximum(albedo[brow], 1e-3)) - np.log(skin)).mean(1)
+        hairs = albedo[brow][apart >= np.quantile(apart, BROW_HAIRS)]
+        found = np.median(hairs, axis=0) - BETWEEN_HAIRS * skin
+        look["brow_rgb"] = _as_colour(found / (1 - BETWEEN_HAIRS))
     steps = np.linspace(1, 6, 51)
     tones = [np.interp(steps, np.arange(1, 7), np.array(SKIN_TONES)[:, k]) for k in range(3)]
     apart = np.linalg.norm(np.log(np.stack(tones, 1)) - np.log(np.maximum(skin, 1e-3)), axis=1)
     return look, float(steps[apart.argmin()])
+
+
+def _within_brows(places: Float64Array, landmarks: Float64Array) -> BoolArray:
+    """Which places are in the inner half of a brow. ``[T]``."""
+    found = np.zeros(len(places), bool)
+    for edges in BROW_EDGES:
+        upper, lower = landmarks[np.array(edges)]
+        across, height, _ = 0.5 * (upper + lower).T
+        half = 0.25 * np.linalg.norm(upper - lower, axis=1)
+        line, reach = (
+            np.interp(places[:, 0], across, values, left=np.nan, right=np.nan)
+            for values in (height, half)
+        )
+        found |= np.abs(places[:, 1] - line) < reach
+    return found
 
 
 def _as_colour(rgb: Float64Array) -> tuple[float, ...]:
@@ -279,7 +311,8 @@ def wear(
     alpha *= np.clip((1.2 - lips) / 0.4, 0, 1)
     inner = flat.at(features.regions["face"].astype(np.float64)) > 0.5
     places = flat.at(rest_m)
-    look, tone = skin_colours(colours, inner & (alpha > 0.5), places, lips, features)
+    landmarks = landmark_values(rest_m)
+    look, tone = skin_colours(colours, inner & (alpha > 0.5), places, lips, landmarks)
     texture = np.zeros((*flat.seen.shape, 4), np.uint8)
     texture[flat.seen, :3] = np.rint(255 * np.clip(colours, 0, 1) ** (1 / 2.2))
     texture[flat.seen, 3] = np.rint(255 * np.minimum(alpha, flat.soften(alpha, FEATHER_EDGES)))
