@@ -49,8 +49,8 @@ does, and how many edges of the mesh hair or clothes on them reach."""
 BROW_ENDS, CORNERS = [70, 300], [33, 263]
 """Landmarks at the outer ends of brows and eyes: beside and above them are the temples."""
 LIKE_FRINGE, LIKE_SCALP = 0.25, 0.12
-"""Difference of log colours from skin above which a forehead has a fringe, and below which a scalp
-is bald: fair hair is like skin, and hair is easier missed than taken off (`--hair bald`)."""
+"""What `unlike_skin` says above which a forehead has a fringe, and below which a scalp is bald
+(measured: bald ones have 0.01 to 0.03, hair of all colours on light skin at least 0.28)."""
 SHADE_KEPT, SHADE_NOISE, SHADE_MOST = 0.01, 0.15, 0.8
 """Prior of the light's terms beside what is seen; logarithm by which skin differs from a light that
 counts a quarter; and the largest that is taken off."""
@@ -241,6 +241,15 @@ def unshaded(albedo: Float64Array, slopes: Float64Array, weights: Float64Array) 
     return np.asarray(albedo * shade[:, None])
 
 
+def unlike_skin(colours: Float64Array, skin: Float64Array) -> Float64Array:
+    """How far colours ``[..., 3]`` are from skin's in hue, and how much darker, in logarithms: what
+    is brighter and of skin's hue is skin in more light, as bald heads and foreheads are. ``[...]``.
+    """
+    apart = np.log(np.maximum(colours, 1e-3)) - np.log(skin)
+    level = apart.mean(-1, keepdims=True)
+    return np.asarray(np.abs(apart - level).mean(-1) + np.maximum(-level[..., 0], 0))
+
+
 def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHead:
     """Make the fitted head of photos.
 
@@ -261,7 +270,7 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     skin = np.median(albedo[(alpha > 0.5) & (np.abs(height + 0.02) < 0.03)], axis=0)
     albedo[alpha < 0.02] = skin
     # On forehead and temples a fringe is hair, wherever the hairline is; a collar is no skin.
-    unlike = np.abs(np.log(np.maximum(albedo, 1e-3)) - np.log(skin)).mean(1) > LIKE_FRINGE
+    unlike = unlike_skin(albedo, skin) > LIKE_FRINGE
     places = landmark_places().at(found.coefficients)
     beside = np.abs(flat.at(rest_m)[:, 0]) > np.abs(places[BROW_ENDS, 0]).max() + ABOVE_M
     temple = beside & (height > places[CORNERS, 1].min())
@@ -275,10 +284,12 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
     style, hair = "short", None
     guessed: tuple[str, ...] = ("back of the head", "hair: style and volume")
     if scalp.sum() > 200:
-        hair = np.clip(np.median(albedo[scalp], axis=0), 0.003, 0.6)
-        if np.abs(np.log(hair) - np.log(worn.skin)).mean() < LIKE_SCALP:
-            style, hair = "bald", None
+        shown = np.median(albedo[scalp], axis=0)
+        if unlike_skin(shown, worn.skin) < LIKE_SCALP:
+            style = "bald"
             worn = wear(model, rest_m, flat, albedo, alpha)
+        else:
+            hair = np.clip(shown, 0.003, 0.6)
     else:
         guessed = (*guessed, "colour of the hair")
     iris = _iris(photos, found.cameras, worn.skin)
