@@ -51,6 +51,8 @@ BROW_ENDS, CORNERS = [70, 300], [33, 263]
 LIKE_FRINGE, LIKE_SCALP = 0.25, 0.12
 """What `unlike_skin` says above which a forehead has a fringe, and below which a scalp is bald
 (measured: bald ones have 0.01 to 0.03, hair of all colours on light skin at least 0.28)."""
+HAIR_SHINE = 1.25
+"""How much brighter hair is than its colour (measured on drawn people)."""
 SHADE_KEPT, SHADE_NOISE, SHADE_MOST = 0.01, 0.15, 0.8
 """Prior of the light's terms beside what is seen; logarithm by which skin differs from a light that
 counts a quarter; and the largest that is taken off."""
@@ -292,7 +294,7 @@ def head_of_photos(fitted: Fitted, chosen: dict[str, str], source: str) -> OwnHe
             style = "bald"
             worn = wear(model, rest_m, flat, albedo, alpha)
         else:
-            hair = np.clip(shown, 0.003, 0.6)
+            hair = np.clip(shown / HAIR_SHINE, 0.003, 0.6)
     else:
         guessed = (*guessed, "colour of the hair")
     iris = _iris(photos, found.cameras, worn.skin)
