@@ -72,12 +72,8 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
     with step("train"):
         if not (run / EVALUATION_FILE).exists():
             resume = (run / CHECKPOINT).exists()
-            train(
-                TrainOptions(
-                    capture=capture, out=run, preset="tiny" if options.draft else "small",
-                    resume=resume, threads=options.threads,
-                )
-            )  # fmt: skip
+            wanted = TrainOptions(capture=capture, out=run, resume=resume, threads=options.threads)
+            train(replace(wanted, preset="tiny") if options.draft else wanted)
     with step("export"):
         if not file.exists():
             export(
