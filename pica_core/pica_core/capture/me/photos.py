@@ -44,7 +44,7 @@ BROKEN = (OSError, SyntaxError, ValueError, TypeError, EOFError, RuntimeError)
 MOST_PHOTOS, MOST_SIDE, SIDE = 60, 12_000, 1920
 """Photos, their longest side in pixels, and to what they are reduced."""
 EXIF_IFD, FILM_FOCAL, MODEL = 0x8769, 0xA405, 0x0110
-SURE, LEAST_FACE_PX, MOST_TURNED, LEAST_SHARP = 0.6, 80, 62.0, 0.1
+SURE, LEAST_FACE_PX, MOST_TURNED, LEAST_SHARP = 0.6, 80, 62.0, 0.22
 """What a photo needs: sureness of the networks, width of the face in pixels, degrees from the
 front, and `sharpness` (measured on drawn people)."""
 Tell = Callable[[str], None]
@@ -192,8 +192,8 @@ def sharpness(image: ByteArray, low: FloatArray, high: FloatArray) -> float:
     (left, top), (right, bottom) = np.maximum(low, 0).astype(int), high.astype(int)
     grey = image[top:bottom, left:right].mean(2)
     pixel = max(min(grey.shape) / 200, 1.0)
-    one, two, four = (gaussian_filter(grey, pixel * sigma) for sigma in (0.5, 1.0, 4.0))
-    return float(np.std(one - two) / max(float(np.std(two - four)), 1e-3))
+    one, two, four, eight = (gaussian_filter(grey, pixel * sigma) for sigma in (1, 2, 4, 8))
+    return float(np.std(one - two) / max(float(np.std(four - eight)), 1e-3))
 
 
 def brightness_of_eyes(image: ByteArray, landmarks: FloatArray) -> float:

@@ -179,7 +179,7 @@ Change = Callable[[Image.Image], Image.Image]
         ("cmyk.jpg", lambda face: face.convert("CMYK"), "pixels are CMYK; save it with 8 bits"),
         ("deep.png", lambda face: face.convert("I;16"), "pixels are I;16; save it with 8 bits"),
         ("grey.png", lambda face: Image.new("RGB", face.size, "grey"), "no face is found"),
-        ("blurred.png", lambda face: face.filter(ImageFilter.GaussianBlur(9)), "blurred|no face"),
+        ("blurred.jpg", lambda face: face.filter(ImageFilter.GaussianBlur(9)), "blurred"),
         ("pair.png", lambda face: Image.fromarray(np.hstack([face, face])), "two people"),
         ("sunglasses.png", lambda face: darken_eyes(face), "the eyes are dark; take sunglasses"),
         ("cut.png", lambda face: face.crop((0, 330, SIDE, SIDE)), "cut off|no face"),
