@@ -5,7 +5,7 @@ import { said } from "./wire.js";
 
 const [ORBIT_PER_PX, MAX_ORBIT, ZOOM_PER_STEP, KEY_STEP_PX, TAP_PX] = [0.005, 1.3, 1.1, 24, 6];
 const [MIN_ZOOM, MAX_ZOOM] = [0.4, 12];
-const [BAR_PX, LABEL_PX, FADES_BELOW, NARROW_PX] = [72, 52, 0.3, 800];
+const [BAR_PX, LABEL_PX, FADES_BELOW, NARROW_PX] = [70, 52, 0.3, 800];
 
 /** @template {HTMLElement} [T=HTMLElement] @param {string} id @returns {T} */
 export const element = (id) => /** @type {any} */ (document.getElementById(id));
