@@ -11,9 +11,9 @@ import { fromBase64, said } from "./wire.js";
 
 const [LOWER_INTERVAL_S, STALE_AFTER_S] = [1, 2];
 const PLACE_IS_KEPT_S = 120;
-/** Between two tries to get an avatar file, which its owner may still be giving. */
+/** Between two tries to get an avatar, which its owner may still be giving. */
 const FETCH_WAITS_S = [0.5, 1, 2, 4, 8];
-const TICK_MS = 250;
+const [TICK_MS, FIRST_FACE_MS] = [250, 1000];
 /** @type {Record<string, string>} */
 const FACE_NOTES = { muted: "face is muted", lost: "no face in front of the tracker" };
 /** @type {Record<SealState, string>} */
@@ -25,14 +25,18 @@ const SEAL_NOTES = {
 
 /** @type {Map<string, Promise<Avatar>>} */
 const avatars = new Map();
-/** Files come one after the other: the first face is there early. @type {Promise<unknown>} */
+/** Files come one by one; after the first its face is drawn. @type {Promise<unknown>} */
 let fetching = Promise.resolve();
 
 /** Get an avatar from the relay, checked and read once; rejects with one clear line.
  * @param {URL} base @param {string} id */
 function getAvatar(base, id) {
   const found = avatars.get(id) ?? fetching.then(async () => openAvatar(await getFile(base, id)));
-  if (!avatars.has(id)) fetching = found.catch(() => avatars.delete(id));
+  if (!avatars.has(id)) {
+    const waitMs = avatars.size ? 0 : FIRST_FACE_MS;
+    fetching = found.catch(() => avatars.delete(id))
+      .then(() => new Promise((resolve) => setTimeout(resolve, waitMs)));
+  }
   avatars.set(id, found);
   return found;
 }
