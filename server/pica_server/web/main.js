@@ -17,7 +17,7 @@ const room = decodeURIComponent(location.pathname.split("/").pop() ?? "")
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 /** @param {string} name Of a file that the relay made beside the modules. */
 const load = async (name) => (await fetch(new URL(name, import.meta.url))).json();
-/** Only one, for a browser lends out few contexts; got ready while the form is filled in. */
+/** Only one, for a browser lends out few contexts; made while the form is filled in. */
 const picture = load("shaders.json")
   .then((texts) => new Picture(element("picture"), texts, tile !== null));
 
@@ -26,6 +26,7 @@ function complain(problem) {
   element("problem").textContent = said(problem);
   element("call").hidden = true;
   element("join").hidden = false;
+  element("begin").focus();
 }
 
 /** @param {string} name @param {string} avatarId */
@@ -64,8 +65,7 @@ async function enter(name, avatarId) {
   frame();
 }
 
-/** The name of last time, where the browser keeps such things. @param {string} name The one to
- * keep. */
+/** The name of last time, where the browser keeps one. @param {string} name To be kept. */
 function remembered(name = "") {
   try {
     if (name) localStorage.setItem("name", name);
