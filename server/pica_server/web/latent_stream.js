@@ -5,7 +5,6 @@
  */
 
 export const NUM_LATENT = 256;
-export const NUM_VALUES = NUM_LATENT + 6;
 export const NUM_ARKIT = 52;
 const [TOTAL_BITS, TOTAL] = [14, 1 << 14];
 const [FULL_RANGE, LEAST_RANGE] = [2 ** 48, 2 ** 40];
@@ -165,7 +164,7 @@ export function decodeFace(encode, payload) {
     .map((value, place) => value + (rest[place] ?? 0) * REST_UNIT);
   const length = Math.sqrt(latent.reduce((sum, value) => sum + value ** 2, 0));
   const shorter = Math.min(MAX_LENGTH / length, 1);
-  const values = new Float32Array(NUM_VALUES);
+  const values = new Float32Array(NUM_LATENT + 6);
   values.set(shorter < 1 ? latent.map((value) => value * shorter) : latent);
   const pose = coefficients.slice(NUM_ARKIT, NUM_DRIVEN).map((value) => value * POSE_UNIT);
   values.set(pose, NUM_LATENT);
@@ -256,4 +255,4 @@ function writeSymbols(ranges) {
 /** @type {(value: number, bits: number) => [number, number]} */
 const uniform = (value, bits) => [value * (TOTAL >> bits), TOTAL >> bits];
 /** @param {number} value */
-const bitLength = (value) => (value ? 32 - Math.clz32(value) : 0);
+const bitLength = (value) => 32 - Math.clz32(value);

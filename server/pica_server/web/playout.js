@@ -80,7 +80,6 @@ class Timeline {
     const departureS = Math.max(before.mediaS, after.mediaS - longestS);
     const share = (mediaS - departureS) / (after.mediaS - departureS);
     if (share <= 0) return { values: before.values, isUnderWay: share === 0 };
-    if (share === 1) return { values: after.values, isUnderWay: true };
     const way = added(after.values, before.values, -1);
     return { values: added(before.values, way, share), isUnderWay: true };
   }
