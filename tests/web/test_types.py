@@ -15,7 +15,7 @@ WEB = ROOT / "server" / "pica_server" / "web"
 KINDS = {".js", ".ts", ".html", ".css"}
 LATER = ("camera", "face", "finder", "live_face", "networks", "pulse", "upload", "xr")
 """What is loaded when it is asked for: one's own face, a camera, a headset."""
-MAX_LINES, MAX_BYTES = 5_170, 222_000
+MAX_LINES, MAX_BYTES = 5_169, 222_000
 MAX_LATER_LINES, MAX_LATER_BYTES = 1_132, 50_200
 
 
