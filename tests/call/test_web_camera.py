@@ -13,6 +13,8 @@ from PIL import Image
 
 from helpers.chromium import Tab, chromium
 from helpers.face_networks import face_file
+from helpers.page import node_module
+from helpers.paths import ROOT
 from helpers.senders import LoadedAvatars
 from pica_client.call.call import ArrivedFace, Call
 from pica_client.decode.decoder import OnnxDecoder
@@ -91,6 +93,12 @@ def _start(children: Children, folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     return children.start_relay()[1]
 
 
+def _give_networks(folder: Path) -> None:
+    models = folder / "pica-telepresence" / "models"
+    models.mkdir(parents=True)
+    shutil.copy(face_file(), models / "face_landmarker.task")
+
+
 def _join(tab: Tab, relay: str) -> None:
     tab.open(f"{relay.replace('ws://', 'http://')}/r")
     tab.until(f"document.querySelector('[value=\"{avatar_id(PATH)}\"]') !== null")
@@ -106,9 +114,7 @@ def _line(tab: Tab, text: str) -> None:
 def test_a_camera_moves_the_face_that_others_see(
     tab: Tab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    models = tmp_path / "pica-telepresence" / "models"
-    models.mkdir(parents=True)
-    shutil.copy(face_file(), models / "face_landmarker.task")
+    _give_networks(tmp_path)
     identity, avatar = avatar_id(PATH), load_avatar(PATH)
     encode = ExpressionEncoder(avatar).encode
     closed, opened = encode(_face(0.0)).ravel(), encode(_face(1.0)).ravel()
@@ -164,6 +170,33 @@ def test_a_camera_moves_the_face_that_others_see(
             assert hosts == {relay.removeprefix("ws://")}
             assert tab.complaints == []
             tab.value("leave.click()")
+
+
+def test_a_whole_call_asks_for_nothing_but_its_relay(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    headset = node_module("iwer/build/iwer.min.js").read_text()
+    headset += (ROOT / "tests" / "web" / "pages" / "emulate.js").read_text()
+    _give_networks(tmp_path)
+    with chromium(f"--use-file-for-fake-video-capture={film}") as tab, Children() as children:
+        tab.note_workers()
+        tab.send("Page.addScriptToEvaluateOnNewDocument", source=headset)
+        relay = _start(children, tmp_path, monkeypatch)
+        children.start("sender", "send", "--url", relay, "--room", "r", "--name", "Ada", "--wait")
+        _join(tab, relay)
+        tab.until("document.querySelector('#labels button:not(.faceless)') !== null", 60)
+        tab.value("camera.click(); mute.click()")
+        tab.until("mute.textContent === 'Mute'", 30)
+        tab.until("camera.ariaPressed === 'true'", 30)
+        tab.until("!notice.textContent", 60)
+        tab.value("document.getElementById('headset').click()")
+        tab.until("!!headset.activeSession", 30)
+        time.sleep(3)
+        asked = [each for each in tab.requests if each != "about:blank"]
+        assert {each.split("/", 3)[2] for each in asked} == {relay.removeprefix("ws://")}
+        files = {each.rpartition("/")[2] for each in asked}
+        assert {"finder.js", "networks.js", "pulse.js", "worklet.js", "xr.js"} <= files
+        assert tab.complaints == []  # the policy's report, too
 
 
 def test_a_relay_without_networks_is_one_line(

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,21 +35,36 @@ class Tab:
         for domain in ("Page", "Network", "Runtime", "Log"):
             self.send(f"{domain}.enable")
 
+    def note_workers(self) -> None:
+        """Note what workers ask for and say, too: they begin once this tab is asked something."""
+        self.send(
+            "Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=True, flatten=True
+        )
+
     def send(self, method: str, **params: Any) -> Any:
         """Let the browser do something, and return what it answers."""
-        self._number += 1
-        self._websocket.send(json.dumps({"id": self._number, "method": method, "params": params}))
+        number = self._tell(method, params)
         while True:
             message = json.loads(self._websocket.recv(timeout=60))
-            if message.get("id") == self._number:
+            if message.get("id") == number:
                 assert "error" not in message, message["error"]
                 return message["result"]
-            self._note(message["method"], message.get("params", {}))
+            if "method" in message:
+                self._note(message["method"], message.get("params", {}))
+
+    def _tell(self, method: str, params: Mapping[str, Any], **target: str) -> int:
+        self._number += 1
+        request = {"id": self._number, "method": method, "params": params, **target}
+        self._websocket.send(json.dumps(request))
+        return self._number
 
     def _note(self, method: str, params: dict[str, Any]) -> None:
         match method:
             case "Network.requestWillBeSent":
                 self.requests.append(params["request"]["url"])
+            case "Target.attachedToTarget":
+                for told in ("Network.enable", "Log.enable", "Runtime.runIfWaitingForDebugger"):
+                    self._tell(told, {}, sessionId=params["sessionId"])
             case "Network.webSocketCreated":
                 self.requests.append(params["url"])
             case "Log.entryAdded":
@@ -121,7 +136,8 @@ def chromium(*flags: str) -> Iterator[Tab]:
             port = found.read_text().split()[0]
             pages = httpx.get(f"http://127.0.0.1:{port}/json/list", trust_env=False).json()
             url = next(each["webSocketDebuggerUrl"] for each in pages if each["type"] == "page")
-            with connect(url, max_size=None, proxy=None) as websocket:
+            # A tab that no test reads for a while answers no pings.
+            with connect(url, max_size=None, proxy=None, ping_interval=None) as websocket:
                 yield Tab(websocket)
         finally:
             process.terminate()
