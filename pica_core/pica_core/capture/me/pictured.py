@@ -101,9 +101,9 @@ def lay(
     weight *= (away < depth_m[row, column] + HIDDEN_M) & (depth_m[row, column] > 0)
     weight *= ((at > 2) & (at < [camera.width - 3, camera.height - 3])).all(1)
     size = flat.seen.shape
-    full, colours = np.zeros(size), np.zeros((*size, 3))
+    full, colours = np.ones(size), np.zeros((*size, 3))  # where the chart ends is no outline
     full[flat.seen] = weight
-    full = np.minimum(full, gaussian_filter(minimum_filter(full, OUTLINE_TEXELS), 1.0))
+    full = np.minimum(full, gaussian_filter(minimum_filter(full, OUTLINE_TEXELS), 1.0)) * flat.seen
     colours[flat.seen] = np.stack(
         [map_coordinates(image[..., k], at.T[::-1] - 0.5, np.float32, order=1) for k in range(3)], 1
     )
