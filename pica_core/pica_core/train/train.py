@@ -314,11 +314,13 @@ def open_trainer(
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Leave what was there before out of garbage collections, and let glibc keep the memory that a
-    step frees for the next one, which otherwise asks for up to 10,000 pages again."""
+    """Collect what the run before has left, leave what is there out of garbage collections, and let
+    glibc keep the memory that a step frees for the next one, which otherwise asks for up to 10,000
+    pages again."""
     with suppress(AttributeError, TypeError):  # another C library
         for option in MALLOPT:
             ctypes.CDLL(None).mallopt(option, MOST_KEPT)
+    gc.collect()
     gc.freeze()
     try:
         yield

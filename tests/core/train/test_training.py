@@ -1,7 +1,9 @@
 """Training really learns, resumes to the same numbers, and ends in a file that can be used."""
 
+import gc
 import json
 import math
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,6 +49,22 @@ def test_the_smallest_preset_learns_the_held_out_frames(data: TrainingData, tmp_
     for source in ("encoder", "driver"):
         left, had = (mean_mse(rows, source) for rows in (after, before))
         assert left < had / LEARNED_FACTOR
+
+
+def test_a_run_lets_go_of_what_the_one_before_has_read(data: TrainingData, tmp_path: Path) -> None:
+    def run(name: str) -> "weakref.ref[TrainingData]":
+        own = TrainingData(data.capture)
+        with open_trainer(own, short(1, 1, 0), tmp_path / name) as trainer:
+            trainer.run()
+        return weakref.ref(own)
+
+    gc.disable()  # as it seldom looks where few objects hold much
+    try:
+        before = run("one")
+        run("two")
+        assert before() is None
+    finally:
+        gc.enable()
 
 
 def test_a_resumed_run_gives_the_numbers_of_an_uninterrupted_one(

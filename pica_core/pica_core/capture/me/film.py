@@ -67,6 +67,8 @@ def _frames(path: Path) -> list[tuple[float, Image.Image]]:
 
     try:
         with av.open(str(path)) as film:
+            if not film.streams.video:
+                raise CaptureError(f"{path}: no pictures, sound alone; name a film")
             stream = film.streams.video[0]
             stream.thread_type = "AUTO"
             found: list[tuple[float, Image.Image]] = []

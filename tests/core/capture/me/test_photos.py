@@ -1,6 +1,7 @@
 """Photos and films of a person: what cannot be used, and a head whose truth is known."""
 
 import json
+import wave
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -265,7 +266,11 @@ def test_a_film_gives_one_frame_of_each_view(
     assert frames[-1].name == "late.mp4 at 2.4 s"  # the third key frame
     write_film(tmp_path / "short.mp4", pictures[:1], 1.0)
     (tmp_path / "torn.mp4").write_bytes(b"no film")
-    for name, words in (("short.mp4", "at least 2 s are needed"), ("torn.mp4", "not a film")):
+    with wave.open(str(tmp_path / "sound.wav"), "wb") as sound:
+        sound.setparams((1, 2, 8000, 0, "NONE", ""))
+        sound.writeframes(bytes(8000))
+    refused = {"short.mp4": "at least 2 s", "torn.mp4": "not a film", "sound.wav": "sound alone"}
+    for name, words in refused.items():
         with pytest.raises(CaptureError, match=words):
             choose_frames(tmp_path / name, face_networks(), told.append)
 
