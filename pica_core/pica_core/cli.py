@@ -372,6 +372,7 @@ def _of_scan(
 def _of_photos(
     choices: MeChoices, files: list[Path], networks: FaceNetworks, console: Console
 ) -> tuple["OwnHead", Callable[[Path], None]]:
+    from pica_core.capture.me.face import NERSEMBLE_FILMS
     from pica_core.capture.me.film import choose_frames
     from pica_core.capture.me.nersemble import is_nersemble, read_films
     from pica_core.capture.me.photos import read_photos
@@ -383,9 +384,10 @@ def _of_photos(
 
     if choices.photos is None:
         photos, source = choose_frames(files[0], networks, tell), "a video"
+    elif is_nersemble(choices.photos):
+        photos, source = read_films(files, networks, tell), NERSEMBLE_FILMS
     else:
-        read = read_films if is_nersemble(choices.photos) else read_photos
-        photos, source = read(files, networks, tell), "photos"
+        photos, source = read_photos(files, networks, tell), "photos"
     _agree(choices)
     pupils_mm = choices.pupillary_distance_mm
     found = fit_photos(photos, tell, pupils_mm and pupils_mm / 1000)

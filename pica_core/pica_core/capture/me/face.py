@@ -212,6 +212,8 @@ ISLANDS = (
 crown, two pieces of ears, shoulders, mouth, two eye sockets. On the model's own chart they lie on
 top of each other."""
 TOLD = ("look", "guessed", "source")
+NERSEMBLE_FILMS = "films of NeRSemble v2"
+"""A source that has a licence of its own."""
 FILE = "me.npz"
 """A fitted head, in the folder of its making."""
 
@@ -249,6 +251,12 @@ class OwnHead:
     look: dict[str, tuple[float, ...]]
     guessed: tuple[str, ...] = field(default=())
     source: str = "a scan"
+
+    @property
+    def licence(self) -> str:
+        """Licences of what is made of it."""
+        owner = "NeRSemble v2's" if self.source == NERSEMBLE_FILMS else "the person's own"
+        return f"{owner}; face model: {RIGHTS}"
 
     def write(self, path: Path) -> None:
         """Write it, as `read_head` reads it.
@@ -298,7 +306,7 @@ class OwnSubject(Subject):
             head,
             {
                 "source": f"made from {own.source} of the person, who has agreed",
-                "licence": f"the person's own; face model: {RIGHTS}",
+                "licence": own.licence,
                 "guessed": list(own.guessed),
             },
             albedo={0: own.texture},

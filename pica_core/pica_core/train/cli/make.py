@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.cli import MeChoices, make_head, render_me
 from pica_core.errors import check_ranges
@@ -21,7 +22,6 @@ from pica_core.train.train import CHECKPOINT
 STAGE = RenderOptions(frames=256, cameras=10, size="384x384")
 """What is rendered of a fitted head (that of docs/avatars.md, whose seconds are known)."""
 DRAFT = replace(STAGE, frames=24, cameras=5, size="192x192")
-LICENCE = "of the person shown; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 MINUTES = {"fit": 0.5, "capture": 3.8, "train": 3.3, "export": 1.6}
 """What the steps take on two quiet cores: of people measured (docs/avatars.md), the fit alone of a
 scan."""
@@ -76,11 +76,8 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
             train(replace(wanted, preset="tiny") if options.draft else wanted)
     with step("export"):
         if not file.exists():
-            export(
-                ExportOptions(
-                    run=run, capture=capture, out=file, name=options.name, licence=LICENCE,
-                    threads=options.threads,
-                )
-            )  # fmt: skip
+            licence = str(Capture.open(capture).info["licence"])
+            wish = ExportOptions(run=run, capture=capture, out=file, name=options.name)
+            export(replace(wish, licence=licence, threads=options.threads))
     console.print(f"Begin a call with it:\n\n    pica demo --avatar {file}\n", soft_wrap=True)
     return {"path": str(file), "folder": str(folder), "seconds": seconds}

@@ -15,7 +15,7 @@ from helpers.heic import heic_of
 from helpers.own_head import AZIMUTHS, SIDE, draw_person_from, write_film, write_photos
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.camera import Camera, look_at
-from pica_core.capture.me.face import align, read_head
+from pica_core.capture.me.face import NERSEMBLE_FILMS, align, read_head
 from pica_core.capture.me.film import choose_frames, spread_out
 from pica_core.capture.me.nersemble import camera_films, read_films
 from pica_core.capture.me.photos import (
@@ -318,6 +318,8 @@ def test_photos_become_a_head_with_its_report(
     made = me(MeOptions(photos=folder, yes=True, out=tmp_path / "capture"))
     head = read_head(Path(made["head"]))
     assert head.source == "photos"
+    assert head.licence.startswith("the person's own; face model: ICT")
+    assert replace(head, source=NERSEMBLE_FILMS).licence.startswith("NeRSemble v2's")
     assert "back of the head" in head.guessed
     assert (head.texture[..., 3] > 127).mean() > 0.05  # outlines are wide on so small a chart
     page = (Path(made["head"]).parent / "report.html").read_text()
