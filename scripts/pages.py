@@ -2,7 +2,7 @@
 
     python scripts/pages.py README.md docs/quick-start.md
     python scripts/pages.py docs/tutorial.md          # trains very little; a minute
-    python scripts/pages.py docs/own-head.md          # three drafts; ten minutes
+    python scripts/pages.py docs/own-head.md          # three drafts; five minutes
     python scripts/pages.py --command-line            # write the options of docs/command-line.md
 
 Every ``sh`` block of a page is run in order, and a command that fails ends the run. A comment in
