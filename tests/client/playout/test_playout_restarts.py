@@ -2,12 +2,33 @@
 
 import pytest
 
-from helpers.playout_trial import FRAME_S, WAY_S, arrivals, between, play, steps, value_at, value_of
-from pica_client.playout.buffer import CEILING_S, Playout
-from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from helpers.playout_trial import (
+    FRAME_S,
+    WAY_S,
+    arrivals,
+    between,
+    face,
+    play,
+    steps,
+    value_at,
+    value_of,
+)
+from pica_client.playout.buffer import CEILING_S, Playout, Timeline
+from pica_client.playout.sender_clock import RESTART_FRAMES, DecodedFrame, SenderClock
 from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit
+
+
+def test_frames_that_wait_go_when_an_older_one_comes_after_them() -> None:
+    timeline = Timeline()
+    old, late, new, newest = (DecodedFrame(0, face(0), at_s) for at_s in (0.0, 0.05, 0.1, 0.2))
+    for frame in (old, new, newest, late):
+        assert timeline.append(frame)
+        timeline.release(0.0)
+    assert timeline.following == late
+    assert timeline.num_waiting == 1
+    assert not timeline.append(old._replace(media_s=-1.0))
 
 
 @pytest.mark.parametrize("fps", [5, 30])
