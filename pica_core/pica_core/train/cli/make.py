@@ -22,7 +22,7 @@ from pica_core.train.train import CHECKPOINT
 STAGE = RenderOptions(frames=256, cameras=10, size="384x384")
 """What is rendered of a fitted head (that of docs/avatars.md, whose seconds are known)."""
 DRAFT = replace(STAGE, frames=24, cameras=5, size="192x192")
-MINUTES = {"fit": 0.5, "capture": 3.8, "train": 3.3, "export": 1.6}
+MINUTES = {"fit": 0.5, "capture": 3.8, "train": 4.7, "export": 1.6}
 """What the steps take on two quiet cores: of people measured (docs/avatars.md), the fit alone of a
 scan."""
 
@@ -73,7 +73,7 @@ def avatar_make(options: MakeOptions) -> dict[str, Any]:
         if not (run / EVALUATION_FILE).exists():
             resume = (run / CHECKPOINT).exists()
             wanted = TrainOptions(capture=capture, out=run, resume=resume, threads=options.threads)
-            train(replace(wanted, preset="tiny") if options.draft else wanted)
+            train(replace(wanted, preset="tiny" if options.draft else "own"))
     with step("export"):
         if not file.exists():
             licence = str(Capture.open(capture).info["licence"])

@@ -39,9 +39,10 @@ class TrainOptions:
     variant: VariantName | None = None
     """Which model: linear, full, the baseline, or full with one part replaced (docs/training.md).
     Without it linear, and full with the preset paper."""
-    preset: Literal["tiny", "small", "long", "paper"] = "small"
-    """How much to train: tiny (seconds), small (minutes on two cores), long (two or three times
-    that), paper (its settings to the letter; days on a GPU)."""
+    preset: Literal["tiny", "small", "own", "long", "paper"] = "small"
+    """How much to train: tiny (seconds), small (minutes on two cores), own (half as much again, for
+    heads from scans and photos), long (two or three times that), paper (its settings to the letter;
+    days on a GPU)."""
     block: Literal["H2", "G"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None
