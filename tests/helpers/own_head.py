@@ -1,4 +1,4 @@
-"""A drawn person as one's own scan, photos and film."""
+"""A drawn person as a scan, as photos and as a film."""
 
 from fractions import Fraction
 from pathlib import Path
